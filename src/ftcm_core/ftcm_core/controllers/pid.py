@@ -1,0 +1,77 @@
+# SPDX-License-Identifier: Apache-2.0
+"""PID with gravity compensation and anti-windup, a sanity baseline."""
+
+from __future__ import annotations
+
+from ftcm_core.controllers import Controller, joint_parameters
+from ftcm_core.params import param
+from ftcm_core.registry import register
+from ftcm_core.robots import Robot
+from ftcm_core.signals import Measurement, ReferencePoint, State, Vector
+
+
+@register("controller", "pid")
+class PID(Controller):
+    """PID: u = G(q) - kp e - kd ė - ki ∫e, the integral torque clamped to integral_limit."""
+
+    kp: float = param(
+        (400.0, 700.0, 150.0),
+        unit="N·m/rad",
+        above=0.0,
+        per_joint=True,
+        doc="position gain",
+        source="chosen: about 10 rad/s on the PUMA's joint inertias",
+    )
+    kd: float = param(
+        (80.0, 140.0, 30.0),
+        unit="N·m·s/rad",
+        at_least=0.0,
+        per_joint=True,
+        doc="velocity gain",
+        source="chosen: about critical damping",
+    )
+    ki: float = param(
+        (400.0, 700.0, 150.0),
+        unit="N·m/(rad·s)",
+        at_least=0.0,
+        per_joint=True,
+        doc="integral gain",
+        source="chosen: integral time 1 s",
+    )
+    integral_limit: float = param(
+        30.0,
+        unit="N·m",
+        at_least=0.0,
+        per_joint=True,
+        doc="largest integral torque (anti-windup by clamping)",
+        source="chosen: above the paper's disturbances",
+    )
+
+    def init(self, joints: int) -> State:
+        """Zero integral torque."""
+        return ((0.0,),) * joints
+
+    def step(
+        self,
+        robot: Robot,
+        dt: float,
+        y: Measurement,
+        reference: ReferencePoint,
+        disturbance_estimate: Vector,
+        state: State,
+    ) -> tuple[Vector, State]:
+        """Gravity plus PID torque; the integral advances by forward Euler and is clamped."""
+        u, following = [], []
+        for p, g, q, v, qr, vr, (integral,) in zip(
+            joint_parameters(self, robot.joints),
+            robot.gravity(y.position),
+            y.position,
+            y.velocity,
+            reference.position,
+            reference.velocity,
+            state,
+        ):
+            e = q - qr
+            u.append(g - p.kp * e - p.kd * (v - vr) - integral)
+            following.append((max(-p.integral_limit, min(p.integral_limit, integral + dt * p.ki * e)),))
+        return tuple(u), tuple(following)

@@ -1,0 +1,194 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Metrics: pure functions of a trace, one value per joint, over windows of it.
+
+Every function takes the trace's rows of one window and returns an array of shape (joints,).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+
+from ftcm_core.trace import Array, Trace
+
+SETTLING_BAND = 1e-3
+"""Band of the settling time, rad (chosen: 0.06 deg)."""
+HIGH_FREQUENCY = 50.0
+"""Torque content above this counts as high-frequency, Hz (chosen: far above the motion)."""
+STEADY_SHARE = 0.1
+"""Share of a window, at its end, over which the steady-state error is taken (chosen)."""
+
+
+def windows(trace: Trace) -> dict[str, slice | None]:
+    """Return the rows of each window; None where a run has no such window.
+
+    ``whole``; ``transient``, the first seconds (the scenario says how many); ``after_transient``, the
+    rest; ``before_fault``, from the transient's end to the first onset, or to the end without faults;
+    ``after_fault``, from the first onset on.
+    """
+    scenario = trace.scenario
+    last = trace.ticks
+
+    def row(t: float) -> int:
+        return int(np.searchsorted(trace.time_ns, round(t * 1e9)))
+
+    settled = row(scenario.transient if scenario else 1.0)
+    onset = scenario.first_fault if scenario else None
+    fault = row(onset) if onset is not None else last
+    found = {
+        "whole": slice(0, last),
+        "transient": slice(0, settled),
+        "after_transient": slice(settled, last),
+        "before_fault": slice(min(settled, fault), fault),
+        "after_fault": slice(fault, last),
+    }
+    return {name: s if s.stop - s.start >= 2 else None for name, s in found.items()}
+
+
+def mean_abs_error(trace: Trace, rows: slice) -> Array:
+    """Mean of |e|, rad: the "average control error" of Table 2."""
+    return np.asarray(np.mean(np.abs(trace.error[rows]), axis=0))
+
+
+def rms_error(trace: Trace, rows: slice) -> Array:
+    """Root mean square of e, rad."""
+    return np.asarray(np.sqrt(np.mean(trace.error[rows] ** 2, axis=0)))
+
+
+def max_abs_error(trace: Trace, rows: slice) -> Array:
+    """Largest |e|, rad."""
+    return np.asarray(np.max(np.abs(trace.error[rows]), axis=0))
+
+
+def iae(trace: Trace, rows: slice) -> Array:
+    """Integral of |e|, rad·s."""
+    return np.asarray(np.sum(np.abs(trace.error[rows]), axis=0) * trace.dt)
+
+
+def ise(trace: Trace, rows: slice) -> Array:
+    """Integral of e², rad²·s."""
+    return np.asarray(np.sum(trace.error[rows] ** 2, axis=0) * trace.dt)
+
+
+def itae(trace: Trace, rows: slice) -> Array:
+    """Integral of (time since the window's begin) times |e|, rad·s²."""
+    t = trace.time[rows] - trace.time[rows][0]
+    return np.asarray(t @ np.abs(trace.error[rows]) * trace.dt)
+
+
+def settling_time(trace: Trace, rows: slice, band: float = SETTLING_BAND) -> Array:
+    """Time from the window's begin until |e| stays within the band, s; NaN if it does not."""
+    outside = np.abs(trace.error[rows]) > band
+    last = np.where(outside.any(axis=0), len(outside) - np.argmax(outside[::-1], axis=0), 0)
+    return np.where(last < len(outside), last * trace.dt, np.nan)
+
+
+def steady_state_error(trace: Trace, rows: slice) -> Array:
+    """Mean of |e| over the last tenth of the window, rad."""
+    count = max(1, int((rows.stop - rows.start) * STEADY_SHARE))
+    return np.asarray(np.mean(np.abs(trace.error[rows][-count:]), axis=0))
+
+
+def torque_rms(trace: Trace, rows: slice) -> Array:
+    """Root mean square of the commanded torque, N·m."""
+    return np.asarray(np.sqrt(np.mean(trace.command[rows] ** 2, axis=0)))
+
+
+def torque_total_variation(trace: Trace, rows: slice) -> Array:
+    """Sum of |u_{k+1} - u_k| per second, N·m/s: a measure of chattering."""
+    u = trace.command[rows]
+    return np.asarray(np.sum(np.abs(np.diff(u, axis=0)), axis=0) / ((len(u) - 1) * trace.dt))
+
+
+def torque_high_frequency_rms(trace: Trace, rows: slice) -> Array:
+    """Root mean square of the commanded torque's content above 50 Hz, N·m (Hann window, mean removed)."""
+    u = trace.command[rows] - np.mean(trace.command[rows], axis=0)
+    n = len(u)
+    taper = 0.5 - 0.5 * np.cos(2.0 * np.pi * np.arange(n) / n)
+    power = np.abs(np.fft.rfft(u * taper[:, None], axis=0)) ** 2
+    high = np.fft.rfftfreq(n, trace.dt) > HIGH_FREQUENCY
+    return np.asarray(np.sqrt(2.0 * np.sum(power[high], axis=0) / n / np.sum(taper**2)))
+
+
+def saturation_share(trace: Trace, rows: slice) -> Array:
+    """Share of ticks at which the command is at or beyond the torque limit; 0 without limits."""
+    limits = trace.scenario.limits if trace.scenario else None
+    if limits is None:
+        return np.zeros(trace.command.shape[1])
+    return np.asarray(np.mean(np.abs(trace.command[rows]) >= np.array(limits), axis=0))
+
+
+def observer_rms_error(trace: Trace, rows: slice) -> Array:
+    """Root mean square of the observer's error Δ - Δ̂, rad/s²."""
+    return np.asarray(
+        np.sqrt(np.mean((trace.lumped_uncertainty - trace.lumped_uncertainty_estimate)[rows] ** 2, axis=0))
+    )
+
+
+def observer_max_error(trace: Trace, rows: slice) -> Array:
+    """Largest |Δ - Δ̂|, rad/s²."""
+    return np.asarray(np.max(np.abs(trace.lumped_uncertainty - trace.lumped_uncertainty_estimate)[rows], axis=0))
+
+
+METRICS: dict[str, tuple[Callable[[Trace, slice], Array], str]] = {
+    "mean_abs_error": (mean_abs_error, "rad"),
+    "rms_error": (rms_error, "rad"),
+    "max_abs_error": (max_abs_error, "rad"),
+    "iae": (iae, "rad·s"),
+    "ise": (ise, "rad²·s"),
+    "itae": (itae, "rad·s²"),
+    "settling_time": (settling_time, "s"),
+    "steady_state_error": (steady_state_error, "rad"),
+    "torque_rms": (torque_rms, "N·m"),
+    "torque_total_variation": (torque_total_variation, "N·m/s"),
+    "torque_high_frequency_rms": (torque_high_frequency_rms, "N·m"),
+    "saturation_share": (saturation_share, "-"),
+    "observer_rms_error": (observer_rms_error, "rad/s²"),
+    "observer_max_error": (observer_max_error, "rad/s²"),
+}
+"""Every metric and its unit, in the order of reports."""
+
+
+def evaluate(trace: Trace) -> dict[str, dict[str, list[float | None]] | None]:
+    """Return window -> metric -> one value per joint; None for what a run does not have."""
+    found: dict[str, dict[str, list[float | None]] | None] = {}
+    for name, rows in windows(trace).items():
+        if rows is None:
+            found[name] = None
+            continue
+        with np.errstate(over="ignore", invalid="ignore"):
+            found[name] = {metric: _finite(function(trace, rows)) for metric, (function, _) in METRICS.items()}
+    return found
+
+
+def result(trace: Trace) -> dict[str, Any]:
+    """Return a run's result for programs: what ran, how it ended, its metrics.
+
+    ``settling_time_bound`` (eq 15) is the controller's bound from the initial error, per joint, beside
+    the measured ``metrics.whole.settling_time``; null for a law without one.
+    """
+    scenario = trace.scenario
+    law = scenario.controller if scenario else None
+    first = trace.command[0] if trace.ticks else np.full(len(trace.joint_names), np.nan)
+    bounds: list[float | None] = [None] * len(trace.joint_names)
+    if law is not None and trace.ticks:
+        bounds = [law.settling_time_bound(abs(e), j) for j, e in enumerate(trace.error[0].tolist())]
+    return {
+        "scenario": scenario.name if scenario else None,
+        "controller": law.type_name if law else None,
+        "observer": scenario.observer.type_name if scenario else None,
+        "status": trace.status,
+        "detail": trace.detail,
+        "ticks": trace.ticks,
+        "first_torque": _finite(first),
+        "settling_time_bound": bounds,
+        "metrics": evaluate(trace),
+        "changes": [{"tick": c.tick, "kind": c.kind, **c.component.to_mapping()} for c in trace.changes],
+        "configuration": scenario.to_mapping() if scenario else None,
+    }
+
+
+def _finite(values: Array) -> list[float | None]:
+    return [float(x) if np.isfinite(x) else None for x in values]

@@ -1,0 +1,32 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Scalar helpers shared by the laws: plain floats in, plain floats out."""
+
+from __future__ import annotations
+
+import math
+
+
+def sgn(x: float) -> float:
+    """Sign of x: -1, 0 or 1."""
+    if x > 0.0:
+        return 1.0
+    if x < 0.0:
+        return -1.0
+    return 0.0
+
+
+def sig(x: float, a: float) -> float:
+    """Signed power ``|x|^a sgn(x)`` for a > 0; zero at zero."""
+    if x > 0.0:
+        return float(x**a)
+    if x < 0.0:
+        return -float((-x) ** a)
+    return 0.0
+
+
+def logistic(x: float) -> float:
+    """``1 / (1 + exp(-x))`` without overflow for any finite x."""
+    if x >= 0.0:
+        return 1.0 / (1.0 + math.exp(-x))
+    z = math.exp(x)
+    return z / (1.0 + z)

@@ -1,0 +1,40 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Disturbance observers, one per file: from measurements to an estimate of the lumped uncertainty.
+
+The estimate crosses as a torque tau_hat = M(q) Delta_hat, so that any kind of observer fits.
+"""
+
+from __future__ import annotations
+
+from abc import abstractmethod
+from typing import Any
+
+from ftcm_core.registry import Component
+from ftcm_core.robots import Robot
+from ftcm_core.signals import Measurement, Vector
+
+
+class Observer(Component):
+    """An observer with explicit state: ``init`` once, then ``step`` once per tick.
+
+    It may use only what a drive reports: positions, velocities, and the torque applied over the
+    tick that has just ended.
+    """
+
+    @abstractmethod
+    def init(self, robot: Robot, y: Measurement) -> Any:  # noqa: ANN401 (an immutable record of its own)
+        """Return the state at the first measurement it sees; the estimate starts from zero."""
+
+    @abstractmethod
+    def step(self, robot: Robot, dt: float, y: Measurement, state: Any) -> tuple[Vector, Any]:  # noqa: ANN401
+        """Advance from the previous tick to this one.
+
+        Args:
+            robot: the model the observer uses.
+            dt: tick length, s.
+            y: measurement at t_k; its effort is the torque applied over [t_{k-1}, t_k).
+            state: the state at t_{k-1}.
+
+        Returns:
+            tau_hat at t_k, N·m, and the state at t_k.
+        """

@@ -1,0 +1,24 @@
+# SPDX-License-Identifier: Apache-2.0
+"""No observer: the estimate is zero."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from ftcm_core.observers import Observer
+from ftcm_core.registry import register
+from ftcm_core.robots import Robot
+from ftcm_core.signals import Measurement, Vector
+
+
+@register("observer", "none")
+class NoObserver(Observer):
+    """No observer: tau_hat = 0."""
+
+    def init(self, robot: Robot, y: Measurement) -> Any:  # noqa: ANN401
+        """Nothing to remember."""
+        return ()
+
+    def step(self, robot: Robot, dt: float, y: Measurement, state: Any) -> tuple[Vector, Any]:  # noqa: ANN401
+        """Return zeros."""
+        return (0.0,) * robot.joints, state

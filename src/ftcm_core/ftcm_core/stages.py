@@ -1,0 +1,162 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The steps of a tick as the drivers run them: the simulation composes all, a ROS node runs one.
+
+A stage keeps the state between ticks and calls the pure step of its component. Swapping a
+component takes effect at a tick boundary: between two calls.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from typing import Any
+
+from ftcm_core.controllers import Controller
+from ftcm_core.faults import Disturbance
+from ftcm_core.observers import Observer
+from ftcm_core.references import Reference
+from ftcm_core.robots import Robot
+from ftcm_core.signals import Measurement, ReferencePoint, State, TrueDisturbance, Vector, saturate, seconds
+
+SPEED_LIMIT = 1000.0
+"""Joint speed beyond which a run counts as diverged, rad/s (chosen: far above any robot joint)."""
+
+
+class PlantStage:
+    """The robot: measures, then integrates one tick with torque and disturbance held (RK4)."""
+
+    def __init__(
+        self, robot: Robot, dt: float, position: Vector, velocity: Vector, torque_limits: Vector | None
+    ) -> None:
+        """Start at the given position (rad) and velocity (rad/s)."""
+        self.robot = robot
+        self.dt = dt
+        self.torque_limits = torque_limits
+        self.position = position
+        self.velocity = velocity
+        self.effort: Vector = (0.0,) * robot.joints
+        self.diverged = ""
+        """Why the run counts as diverged; empty while it does not."""
+
+    def measure(self) -> Measurement:
+        """y_k: state and the torque applied over the tick that has just ended."""
+        return Measurement(self.position, self.velocity, self.effort)
+
+    def step(self, u: Vector, d: TrueDisturbance) -> None:
+        """Integrate from t_k to t_{k+1} with the command u_k and the disturbance d_k (N·m) held.
+
+        Sets ``diverged`` when the torque is not finite or a joint is faster than any can be.
+        """
+        self.effort = saturate(u, self.torque_limits)
+        tau = tuple(map(float.__add__, self.effort, d.torque))
+        if not math.isfinite(sum(u) + sum(tau)):
+            self.diverged = f"torque is not finite: command {list(u)} N·m, disturbance {list(d.torque)} N·m"
+            return
+        self.position, self.velocity = rk4(self.robot, self.dt, self.position, self.velocity, tau)
+        if not all([-SPEED_LIMIT < v < SPEED_LIMIT for v in self.velocity]):
+            self.diverged = f"joint velocity {list(self.velocity)} rad/s is beyond {SPEED_LIMIT:g} rad/s"
+
+
+def rk4(robot: Robot, dt: float, q: Vector, v: Vector, tau: Vector) -> tuple[Vector, Vector]:
+    """One classical Runge-Kutta step of q̈ = forward_dynamics(q, q̇, tau), tau held.
+
+    Args:
+        robot: the model.
+        dt: step, s.
+        q: positions, rad.
+        v: velocities, rad/s.
+        tau: total joint torque, N·m.
+
+    Returns:
+        Positions and velocities after the step.
+    """
+    acceleration = robot.forward_dynamics
+    h = 0.5 * dt
+    a1 = acceleration(q, v, tau)
+    v2 = tuple([x + h * a for x, a in zip(v, a1)])
+    a2 = acceleration(tuple([x + h * d for x, d in zip(q, v)]), v2, tau)
+    v3 = tuple([x + h * a for x, a in zip(v, a2)])
+    a3 = acceleration(tuple([x + h * d for x, d in zip(q, v2)]), v3, tau)
+    v4 = tuple([x + dt * a for x, a in zip(v, a3)])
+    a4 = acceleration(tuple([x + dt * d for x, d in zip(q, v3)]), v4, tau)
+    w = dt / 6.0
+    return (
+        tuple([x + w * (d1 + 2.0 * (d2 + d3) + d4) for x, d1, d2, d3, d4 in zip(q, v, v2, v3, v4)]),
+        tuple([x + w * (b1 + 2.0 * (b2 + b3) + b4) for x, b1, b2, b3, b4 in zip(v, a1, a2, a3, a4)]),
+    )
+
+
+class ObserverStage:
+    """The disturbance observer: one estimate per measurement."""
+
+    def __init__(self, observer: Observer, robot: Robot, dt: float) -> None:
+        """The state is made from the first measurement."""
+        self.observer = observer
+        self.robot = robot
+        self.dt = dt
+        self.state: Any = None
+
+    def swap(self, observer: Observer) -> None:
+        """Use another observer from the next tick on.
+
+        The same kind with other parameters keeps its state; another kind starts afresh, its
+        estimate from zero, at the next measurement.
+        """
+        if type(observer) is not type(self.observer):
+            self.state = None
+        self.observer = observer
+
+    def step(self, y: Measurement) -> Vector:
+        """tau_hat at t_k (N·m); zeros at the first measurement."""
+        if self.state is None:
+            self.state = self.observer.init(self.robot, y)
+            return (0.0,) * self.robot.joints
+        tau_hat, self.state = self.observer.step(self.robot, self.dt, y, self.state)
+        return tau_hat
+
+
+class ControllerStage:
+    """Reference and control law: one torque per measurement and estimate."""
+
+    def __init__(self, controller: Controller, reference: Reference, robot: Robot, dt: float) -> None:
+        """Start from the law's initial state."""
+        self.controller = controller
+        self.reference = reference
+        self.robot = robot
+        self.dt = dt
+        self.state: State = controller.init(robot.joints)
+
+    def swap(self, controller: Controller) -> None:
+        """Use another law from the next tick on.
+
+        The same law with other parameters keeps its state (integral terms); another law starts
+        from its initial state, at the robot's present motion.
+        """
+        if type(controller) is not type(self.controller):
+            self.state = controller.init(self.robot.joints)
+        self.controller = controller
+
+    def step(self, time_ns: int, y: Measurement, tau_hat: Vector) -> tuple[Vector, ReferencePoint]:
+        """u_k (N·m) and the reference at t_k (integer ns)."""
+        reference = self.reference.at(seconds(time_ns), self.robot.joints)
+        u, self.state = self.controller.step(self.robot, self.dt, y, reference, tau_hat, self.state)
+        return u, reference
+
+
+class InjectorStage:
+    """Disturbances and faults: one added torque per measurement and command."""
+
+    def __init__(self, sources: Sequence[Disturbance], joints: int, torque_limits: Vector | None) -> None:
+        """Sum the torques of all sources; they see the torque the drive applies, after limits."""
+        self.sources = tuple(sources)
+        self.joints = joints
+        self.torque_limits = torque_limits
+
+    def step(self, time_ns: int, position: Vector, velocity: Vector, u: Vector) -> TrueDisturbance:
+        """d_k (N·m) at t_k (integer ns) for the true state and the command u_k."""
+        t = seconds(time_ns)
+        applied = saturate(u, self.torque_limits)
+        total: Vector = (0.0,) * self.joints
+        for source in self.sources:
+            total = tuple(map(float.__add__, total, source.torque(t, position, velocity, applied)))
+        return TrueDisturbance(total)
