@@ -80,7 +80,7 @@ def itae(trace: Trace, rows: slice) -> Array:
 
 def settling_time(trace: Trace, rows: slice, band: float = SETTLING_BAND) -> Array:
     """Time from the window's begin until |e| stays within the band, s; NaN if it does not."""
-    outside = np.abs(trace.error[rows]) > band
+    outside = ~(np.abs(trace.error[rows]) <= band)
     last = np.where(outside.any(axis=0), len(outside) - np.argmax(outside[::-1], axis=0), 0)
     return np.where(last < len(outside), last * trace.dt, np.nan)
 
@@ -129,7 +129,9 @@ def observer_rms_error(trace: Trace, rows: slice) -> Array:
 
 def observer_max_error(trace: Trace, rows: slice) -> Array:
     """Largest |Δ - Δ̂|, rad/s²."""
-    return np.asarray(np.max(np.abs(trace.lumped_uncertainty - trace.lumped_uncertainty_estimate)[rows], axis=0))
+    return np.asarray(
+        np.max(np.abs(trace.lumped_uncertainty - trace.lumped_uncertainty_estimate)[rows], axis=0)
+    )
 
 
 METRICS: dict[str, tuple[Callable[[Trace, slice], Array], str]] = {
@@ -159,7 +161,9 @@ def evaluate(trace: Trace) -> dict[str, dict[str, list[float | None]] | None]:
             found[name] = None
             continue
         with np.errstate(over="ignore", invalid="ignore"):
-            found[name] = {metric: _finite(function(trace, rows)) for metric, (function, _) in METRICS.items()}
+            found[name] = {
+                metric: _finite(function(trace, rows)) for metric, (function, _) in METRICS.items()
+            }
     return found
 
 
@@ -183,7 +187,7 @@ def result(trace: Trace) -> dict[str, Any]:
         "detail": trace.detail,
         "ticks": trace.ticks,
         "first_torque": _finite(first),
-        "settling_time_bound": bounds,
+        "settling_time_bound": _finite(np.array(bounds, dtype=np.float64)),
         "metrics": evaluate(trace),
         "changes": [{"tick": c.tick, "kind": c.kind, **c.component.to_mapping()} for c in trace.changes],
         "configuration": scenario.to_mapping() if scenario else None,

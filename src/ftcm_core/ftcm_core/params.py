@@ -10,7 +10,8 @@ from __future__ import annotations
 import dataclasses
 import functools
 import math
-from typing import Any
+from collections.abc import Hashable
+from typing import Any, cast
 
 from ftcm_core.errors import ParameterError, suggestion
 
@@ -64,9 +65,13 @@ class ParamSpec:
             return ""
         left = "(" if self.lower_open or math.isinf(self.lower) else "["
         right = ")" if self.upper_open or math.isinf(self.upper) else "]"
-        return f"{left}{self.lower:g}, {self.upper:g}{right}"
+        lower, upper = (
+            f"{x:.0f}" if self.kind == "int" and math.isfinite(x) else f"{x:g}"
+            for x in (self.lower, self.upper)
+        )
+        return f"{left}{lower}, {upper}{right}"
 
-    def check(self, value: Any) -> Any:  # noqa: ANN401 (any user input)
+    def check(self, value: Any) -> Any:
         """Return the value in canonical form.
 
         Raises:
@@ -86,7 +91,7 @@ class ParamSpec:
             return self._number(value)
         raise ParameterError(f"{value!r} is not {self.expected}")
 
-    def _number(self, value: Any) -> float | int:  # noqa: ANN401
+    def _number(self, value: Any) -> float | int:
         if isinstance(value, bool) or not isinstance(value, (int, float)):
             raise ParameterError(f"{value!r} is not {self.expected}")
         try:
@@ -107,7 +112,7 @@ class ParamSpec:
 
 
 def param(
-    default: Any,  # noqa: ANN401
+    default: Any,
     *,
     unit: str,
     doc: str,
@@ -120,7 +125,7 @@ def param(
     per_joint: bool = False,
     optional: bool = False,
     kind: str = "",
-) -> Any:  # noqa: ANN401 (a dataclass field)
+) -> Any:
     """Declare one parameter of a component, as a dataclass field.
 
     Args:
@@ -156,9 +161,13 @@ def param(
     return dataclasses.field(default=default, metadata={_KEY: spec})
 
 
-@functools.lru_cache(maxsize=None)
 def specs(cls: type) -> dict[str, ParamSpec]:
     """Return the declared parameters of a component class by name, in declaration order."""
+    return _specs(cast(Hashable, cls))
+
+
+@functools.cache
+def _specs(cls: Any) -> dict[str, ParamSpec]:
     return {
         f.name: dataclasses.replace(f.metadata[_KEY], name=f.name)
         for f in dataclasses.fields(cls)
@@ -195,10 +204,10 @@ class Parameterised:
         for name, value in self.values.items():
             if isinstance(value, tuple) and len(value) != joints:
                 raise ParameterError(
-                    f"{name}: {list(value)} has {len(value)} entries; expected one number per joint ({joints})"
+                    f"{name}: {list(value)} has {len(value)} entries; expected one per joint ({joints})"
                 )
 
-    def for_joint(self, joint: int) -> Any:  # noqa: ANN401 (same class, scalars only)
+    def for_joint(self, joint: int) -> Any:
         """Return this record with every per-joint value reduced to that of one joint (0-based)."""
         picked = {k: v[joint] for k, v in self.values.items() if isinstance(v, tuple)}
         return dataclasses.replace(self, **picked) if picked else self  # type: ignore[type-var]

@@ -12,7 +12,7 @@ import functools
 import importlib
 import pkgutil
 from collections.abc import Callable
-from typing import Any, ClassVar, TypeVar
+from typing import Any, ClassVar, TypeVar, cast
 
 from ftcm_core.errors import FtcmError, suggestion
 from ftcm_core.params import Parameterised, specs
@@ -57,7 +57,7 @@ def register(kind: str, name: str) -> Callable[[C], C]:
         raise FtcmError(f"no component kind {kind!r}; {suggestion(kind, KINDS)}")
 
     def decorate(cls: C) -> C:
-        frozen = dataclasses.dataclass(frozen=True, kw_only=True)(cls)
+        frozen: Any = dataclasses.dataclass(frozen=True, kw_only=True)(cls)
         if name in _components[kind]:
             raise FtcmError(f"{kind} {name!r} is registered twice: {_components[kind][name]} and {cls}")
         undeclared = {f.name for f in dataclasses.fields(frozen)} - set(specs(frozen))
@@ -65,12 +65,12 @@ def register(kind: str, name: str) -> Callable[[C], C]:
             raise FtcmError(f"{kind} {name!r}: fields without param(...): {sorted(undeclared)}")
         frozen.kind, frozen.type_name = kind, name
         _components[kind][name] = frozen
-        return frozen
+        return cast(C, frozen)
 
     return decorate
 
 
-@functools.lru_cache(maxsize=None)
+@functools.cache
 def _load(package: str) -> None:
     module = importlib.import_module(package)
     for info in pkgutil.iter_modules(module.__path__):

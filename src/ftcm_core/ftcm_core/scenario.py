@@ -7,7 +7,6 @@ name for a misspelt one. The same dotted paths address values on the command lin
 
 from __future__ import annotations
 
-import copy
 import dataclasses
 import importlib.resources
 import re
@@ -48,17 +47,27 @@ class InitialState(Parameterised):
 class Scenario(Parameterised):
     """Everything that determines a run."""
 
-    name: str = param("unnamed", unit="-", doc="name of the scenario; the file's name unless given", source="chosen")
+    name: str = param(
+        "unnamed", unit="-", doc="name of the scenario; the file's name unless given", source="chosen"
+    )
     dt: float = param(1e-3, unit="s", at_least=1e-5, at_most=0.1, doc="tick length", source="sec. IV: 1 kHz")
-    duration: float = param(40.0, unit="s", above=0.0, at_most=100_000.0, doc="length of the run", source="sec. IV")
+    duration: float = param(
+        40.0, unit="s", above=0.0, at_most=100_000.0, doc="length of the run", source="sec. IV"
+    )
     transient: float = param(
-        1.0, unit="s", at_least=0.0, doc="end of the transient window of the metrics", source="chosen: settled by then"
+        1.0,
+        unit="s",
+        at_least=0.0,
+        doc="end of the transient window of the metrics",
+        source="chosen: settled by then",
     )
     torque_limits: float | None = param(
         None, unit="N·m", above=0.0, per_joint=True, optional=True, kind="float",
         doc="largest torque of each drive; null: no limit", source="sec. IV: none",
     )  # fmt: skip
-    seed: int = param(0, unit="-", at_least=0, at_most=2**63 - 1, doc="seed of all random streams", source="chosen")
+    seed: int = param(
+        0, unit="-", at_least=0, at_most=2**63 - 1, doc="seed of all random streams", source="chosen"
+    )
     robot: Robot
     reference: Reference
     controller: Controller
@@ -71,7 +80,9 @@ class Scenario(Parameterised):
         """Check what one value cannot tell: whole ticks, joint counts, an observer where one is needed."""
         ns = self.dt * NANOSECONDS
         if abs(ns - round(ns)) > 1e-6 * ns:
-            raise ParameterError(f"dt: {self.dt!r} s is not a whole number of nanoseconds; choose e.g. {round(ns)}e-9")
+            raise ParameterError(
+                f"dt: {self.dt!r} s is not a whole number of nanoseconds; choose e.g. {round(ns)}e-9"
+            )
         count = self.duration / self.dt
         if abs(count - round(count)) > 1e-6 or round(count) < 1:
             raise ParameterError(
@@ -79,11 +90,13 @@ class Scenario(Parameterised):
                 f"choose e.g. {max(1, round(count)) * round(ns) / NANOSECONDS:g}"
             )
         if count > MAX_TICKS:
-            raise ParameterError(f"duration: {count:.3g} ticks; expected at most {MAX_TICKS}; raise dt or shorten it")
+            raise ParameterError(
+                f"duration: {count:.3g} ticks; expected at most {MAX_TICKS}; raise dt or shorten it"
+            )
         if self.controller.needs_observer and self.observer.type_name == "none":
             raise ParameterError(
-                f"observer: none, but controller {self.controller.type_name!r} uses the disturbance estimate; "
-                "choose an observer, e.g. do, or a controller that needs none, e.g. ftsmc"
+                f"observer: none, but controller {self.controller.type_name!r} uses the disturbance "
+                "estimate; choose an observer, e.g. do, or a controller that needs none, e.g. ftsmc"
             )
         joints = self.robot.joints
         self.check_joints(joints)
@@ -160,7 +173,9 @@ class Scenario(Parameterised):
         return {
             "name": scalars.pop("name"),
             **{key: getattr(self, key).to_mapping() for key in _COMPONENTS},
-            "initial_state": {k: list(v) if isinstance(v, tuple) else v for k, v in self.initial_state.values.items()},
+            "initial_state": {
+                k: list(v) if isinstance(v, tuple) else v for k, v in self.initial_state.values.items()
+            },
             "injection": {key: [c.to_mapping() for c in getattr(self, key)] for key in _LISTS},
             **scalars,
         }
@@ -170,7 +185,7 @@ class Scenario(Parameterised):
         return yaml.safe_dump(self.to_mapping(), sort_keys=False, allow_unicode=True, default_flow_style=None)
 
 
-def replace(scenario: Scenario, **changes: Any) -> Scenario:  # noqa: ANN401
+def replace(scenario: Scenario, **changes: Any) -> Scenario:
     """Return a copy with some fields changed, validated as a whole.
 
     Raises:
@@ -328,7 +343,9 @@ def apply_override(data: dict[str, Any], text: str) -> None:
         last = depth == len(keys) - 1
         if isinstance(node, list):
             if not key.isdecimal() or int(key) >= len(node):
-                raise ScenarioError(f"--set {path}: {here} has {len(node)} entries, numbered from 0; {key!r} is not one")
+                raise ScenarioError(
+                    f"--set {path}: {here} has {len(node)} entries, numbered from 0; {key!r} is not one"
+                )
             if last:
                 node[int(key)] = value
             else:
@@ -343,7 +360,9 @@ def apply_override(data: dict[str, Any], text: str) -> None:
                     node[key] = {"type": node[key]}
                 node = node.setdefault(key, {})
                 if node is None:
-                    raise ScenarioError(f"--set {path}: {here}.{key} is null; set it as a whole first")
+                    raise ScenarioError(
+                        f"--set {path}: {'.'.join(keys[: depth + 1])} is null; set it as a whole first"
+                    )
         else:
             raise ScenarioError(f"--set {path}: {here} is a single value; it has no {key!r} inside")
 
@@ -361,7 +380,7 @@ def from_mapping(
     Raises:
         ScenarioError: in one line: place, value, what was expected, a suggestion.
     """
-    data = copy.copy(dict(data))
+    rest = dict(data)
     places = places or {}
 
     def fail(path: str, message: str) -> ScenarioError:
@@ -377,18 +396,20 @@ def from_mapping(
                 inner = f"{path}.{key}" if path else str(key)
                 raise fail(inner, f"unknown key; {suggestion(str(key), known)}")
 
-    def record(cls: type[Any], mapping: Mapping[str, Any], path: str, **more: Any) -> Any:  # noqa: ANN401
+    def record(cls: type[Any], mapping: Mapping[str, Any], path: str, **more: Any) -> Any:
         try:
             return cls(**mapping, **more)
         except ParameterError as error:
             place, _, message = str(error).partition(": ")
             raise fail(f"{path}.{place}" if path else place, message) from None
 
-    def component(value: Any, path: str, kind: str) -> Component:  # noqa: ANN401
+    def component(value: Any, path: str, kind: str) -> Component:
         if isinstance(value, str):
             value = {"type": value}
         if not isinstance(value, dict):
-            raise fail(path, f"{value!r} is not a component; expected a mapping with 'type' and its parameters")
+            raise fail(
+                path, f"{value!r} is not a component; expected a mapping with 'type' and its parameters"
+            )
         if "type" not in value:
             raise fail(path, "has no 'type'; expected e.g. {type: " + _example(kind) + "}")
         try:
@@ -402,19 +423,19 @@ def from_mapping(
         return cast(Component, record(cls, parameters, path))
 
     def mapping_at(key: str) -> dict[str, Any]:
-        value = data.pop(key, None)
+        value = rest.pop(key, None)
         if value is None:
             return {}
         if not isinstance(value, dict):
             raise fail(key, f"{value!r} is not a mapping")
         return value
 
-    check_keys(data, "", [*_COMPONENTS, "initial_state", "injection", *specs(Scenario)])
+    check_keys(rest, "", [*_COMPONENTS, "initial_state", "injection", *specs(Scenario)])
     parts: dict[str, Any] = {}
     for key, kind in _COMPONENTS.items():
-        if data.get(key) is None:
+        if rest.get(key) is None:
             raise fail(key, "is missing; expected e.g. {type: " + _example(kind) + "}")
-        parts[key] = component(data.pop(key), key, kind)
+        parts[key] = component(rest.pop(key), key, kind)
     injection = mapping_at("injection")
     check_keys(injection, "injection", list(_LISTS))
     for key, kind in _LISTS.items():
@@ -425,7 +446,7 @@ def from_mapping(
     start = mapping_at("initial_state")
     check_keys(start, "initial_state", list(specs(InitialState)))
     parts["initial_state"] = record(InitialState, start, "initial_state")
-    return cast(Scenario, record(Scenario, data, "", **parts))
+    return cast(Scenario, record(Scenario, rest, "", **parts))
 
 
 def _example(kind: str) -> str:

@@ -1,13 +1,13 @@
 # SPDX-License-Identifier: Apache-2.0
 """The in-process simulation: the tick loop that the ROS graph repeats node by node.
 
-    tick k, t_k = k*dt (k an integer, time an integer number of nanoseconds, never accumulated)
-      y_k   = sensor(x_k, u_{k-1})                  plant      -> joint_states          (stamp t_k)
-      est_k = observer.step(y_k)                    observer   -> disturbance_estimate  (stamp t_k)
-      u_k   = controller.step(y_k, ref(t_k), est_k) controller -> joint_torques         (stamp t_k)
-      d_k   = injector.step(t_k, x_k, u_k)          injector   -> disturbance           (stamp t_k)
-      record(k)
-      x_{k+1} = plant.step(x_k, u_k, d_k)           torque and disturbance held over [t_k, t_{k+1}), RK4
+tick k, t_k = k*dt (k an integer, time an integer number of nanoseconds, never accumulated)
+  y_k   = sensor(x_k, u_{k-1})                  plant      -> joint_states          (stamp t_k)
+  est_k = observer.step(y_k)                    observer   -> disturbance_estimate  (stamp t_k)
+  u_k   = controller.step(y_k, ref(t_k), est_k) controller -> joint_torques         (stamp t_k)
+  d_k   = injector.step(t_k, x_k, u_k)          injector   -> disturbance           (stamp t_k)
+  record(k)
+  x_{k+1} = plant.step(x_k, u_k, d_k)           torque and disturbance held over [t_k, t_{k+1}), RK4
 """
 
 from __future__ import annotations
@@ -60,7 +60,10 @@ def simulate(
             record(y.position + y.velocity + y.effort + tau_hat + u + d.torque + reference[0] + reference[1])
             if k < last:
                 plant.step(u, d)
-        except (ArithmeticError, ValueError) as error:  # a law driven out of its domain: overflow, log(0), ...
+        except (
+            ArithmeticError,
+            ValueError,
+        ) as error:  # a law driven out of its domain: overflow, log(0), ...
             status, detail = "diverged", f"at t = {seconds(time_ns):g} s: {error}"
             break
         if plant.diverged:

@@ -81,11 +81,11 @@ class AccelerationLaw(Controller):
 
     @staticmethod
     @abstractmethod
-    def law(p: Any, e: float, de: float, dt: float, s: Vector) -> tuple[float, Vector]:  # noqa: ANN401
+    def law(p: Any, e: float, de: float, dt: float, s: Vector) -> tuple[float, Vector]:
         """Feedback acceleration of one joint, rad/s², and its next state."""
 
     @staticmethod
-    def surface(p: Any, e: float, de: float) -> float | None:  # noqa: ANN401
+    def surface(p: Any, e: float, de: float) -> float | None:
         """Sliding variable of one joint; None if the law has none."""
         del p, e, de
         return None
@@ -103,7 +103,7 @@ class AccelerationLaw(Controller):
         disturbance_estimate: Vector,
         state: State,
     ) -> tuple[Vector, State]:
-        """u = M(q) v + h + G with v = ẍ_r + law(e, ė); plus tau_hat where the law uses an observer."""
+        """U = M(q) v + h + G with v = ẍ_r + law(e, ė); plus tau_hat where the law uses an observer."""
         law = self.law
         acceleration, following = [], []
         for p, q, v, qr, vr, ar, s in zip(joint_parameters(self, robot.joints), *y[:2], *reference, state):

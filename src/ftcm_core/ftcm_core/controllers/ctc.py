@@ -14,7 +14,12 @@ class CTC(AccelerationLaw):
     """Computed torque: v = ẍ_r - kd ė - kp e."""
 
     kp: float = param(
-        100.0, unit="1/s²", above=0.0, per_joint=True, doc="position gain", source="chosen: 10 rad/s bandwidth"
+        100.0,
+        unit="1/s²",
+        above=0.0,
+        per_joint=True,
+        doc="position gain",
+        source="chosen: 10 rad/s bandwidth",
     )
     kd: float = param(
         20.0, unit="1/s", at_least=0.0, per_joint=True, doc="velocity gain", source="chosen: critical damping"

@@ -20,7 +20,12 @@ class FTCM(TerminalSurfaceLaw):
         16.0, unit="(rad/s)^½/s", above=0.0, per_joint=True, doc="super-twisting gain Υ1", source="Table 1"
     )
     upsilon2: float = param(
-        20.0, unit="rad/s³", above=0.0, per_joint=True, doc="super-twisting integral gain Υ2", source="Table 1"
+        20.0,
+        unit="rad/s³",
+        above=0.0,
+        per_joint=True,
+        doc="super-twisting integral gain Υ2",
+        source="Table 1",
     )
     pi: float = param(
         0.4,
@@ -48,9 +53,9 @@ class FTCM(TerminalSurfaceLaw):
             p = self.for_joint(joint) if joints > 1 else self
             if not gain_condition(p.upsilon1, p.upsilon2, p.pi):
                 found.append(
-                    f"controller ftcm, {'all joints' if joints == 1 else f'joint {joint + 1}'}: the gain condition "
-                    f"(eq 34) fails: upsilon1={p.upsilon1:g}, upsilon2={p.upsilon2:g}, pi={p.pi:g}; it needs "
-                    f"upsilon1 > {2 * p.pi:g} and upsilon2 > {least_upsilon2(p.upsilon1, p.pi):.4g}; "
+                    f"controller ftcm, {'all joints' if joints == 1 else f'joint {joint + 1}'}: the gain "
+                    f"condition (eq 34) fails: upsilon1={p.upsilon1:g}, upsilon2={p.upsilon2:g}, pi={p.pi:g}; "
+                    f"it needs upsilon1 > {2 * p.pi:g} and upsilon2 > {least_upsilon2(p.upsilon1, p.pi):.4g}; "
                     f"these gains allow pi < {largest_bound(p.upsilon1, p.upsilon2):.4g}"
                 )
         return found

@@ -19,10 +19,20 @@ class NFTSMC(AccelerationLaw):
     q: int = param(3, unit="-", at_least=1, doc="denominator q of the exponent l/q, odd", source="Table 1")
     varpi: float = param(2.0, unit="-", above=0.0, per_joint=True, doc="surface gain ϖ", source="Table 1")
     sigma_gain: float = param(
-        20.0, unit="rad/s²", at_least=0.0, per_joint=True, doc="switching gain Σ, bound of Δ", source="Table 1"
+        20.0,
+        unit="rad/s²",
+        at_least=0.0,
+        per_joint=True,
+        doc="switching gain Σ, bound of Δ",
+        source="Table 1",
     )
     xi: float = param(
-        0.01, unit="rad/s²", at_least=0.0, per_joint=True, doc="margin ξ on the switching gain", source="Table 1"
+        0.01,
+        unit="rad/s²",
+        at_least=0.0,
+        per_joint=True,
+        doc="margin ξ on the switching gain",
+        source="Table 1",
     )
 
     def check(self) -> None:

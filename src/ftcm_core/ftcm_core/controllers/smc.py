@@ -14,12 +14,24 @@ from ftcm_core.signals import Vector
 class SMC(AccelerationLaw):
     """Conventional SMC: v = ẍ_r - c ė - (Σ + ξ) sgn(σ), σ = ė + c e (eq 45)."""
 
-    c: float = param(2.0, unit="1/s", above=0.0, per_joint=True, doc="slope c of the linear surface", source="Table 1")
+    c: float = param(
+        2.0, unit="1/s", above=0.0, per_joint=True, doc="slope c of the linear surface", source="Table 1"
+    )
     sigma_gain: float = param(
-        20.0, unit="rad/s²", at_least=0.0, per_joint=True, doc="switching gain Σ, bound of Δ", source="Table 1"
+        20.0,
+        unit="rad/s²",
+        at_least=0.0,
+        per_joint=True,
+        doc="switching gain Σ, bound of Δ",
+        source="Table 1",
     )
     xi: float = param(
-        0.01, unit="rad/s²", at_least=0.0, per_joint=True, doc="margin ξ on the switching gain", source="Table 1"
+        0.01,
+        unit="rad/s²",
+        at_least=0.0,
+        per_joint=True,
+        doc="margin ξ on the switching gain",
+        source="Table 1",
     )
 
     @staticmethod

@@ -8,7 +8,9 @@ import math
 from ftcm_core.numeric import sgn, sig
 
 
-def super_twisting(sigma: float, eta: float, upsilon1: float, upsilon2: float, dt: float) -> tuple[float, float]:
+def super_twisting(
+    sigma: float, eta: float, upsilon1: float, upsilon2: float, dt: float
+) -> tuple[float, float]:
     """u_r = Υ1 |σ|^½ sgn σ + η, η̇ = +Υ2 sgn σ (eq 33 with its sign corrected), forward Euler.
 
     Args:

@@ -34,7 +34,7 @@ def surface(
     z = abs(e)
     linear = 2.0 * gamma1 * logistic(mu1 * (z - phi))
     terminal = 2.0 * gamma2 * logistic(-mu2 * (z - phi))
-    return de + linear * e + terminal * z**alpha * sgn(e)
+    return de + linear * e + terminal * float(z**alpha) * sgn(e)
 
 
 def surface_rate(
@@ -75,7 +75,7 @@ def surface_rate(
         + 2.0 * gamma2 * alpha * w2 * max(z, epsilon) ** (alpha - 1.0)
         - 2.0 * gamma2 * mu2 * w2 * (1.0 - w2) * z**alpha
     )
-    return slope * de
+    return float(slope) * de
 
 
 def switch_error(gamma1: float, gamma2: float, alpha: float) -> float:
@@ -99,22 +99,33 @@ def settling_time_bound(e0: float, gamma1: float, gamma2: float, alpha: float) -
     """
     phi = switch_error(gamma1, gamma2, alpha)
     z = abs(e0)
-    second = min(z, phi) ** (1.0 - alpha) / (gamma2 * (1.0 - alpha))
+    second = float(min(z, phi) ** (1.0 - alpha)) / (gamma2 * (1.0 - alpha))
     return (math.log(z / phi) / gamma1 if z > phi else 0.0) + second
 
 
 @dataclass(frozen=True, kw_only=True)
 class TerminalSurfaceLaw(AccelerationLaw):
     """The surface's parameters and σ, shared by the laws built on it."""
+
     gamma1: float = param(2.0, unit="1/s", above=0.0, per_joint=True, doc="linear gain γ1", source="Table 1")
     gamma2: float = param(
         2.0, unit="rad^(1-α)/s", above=0.0, per_joint=True, doc="terminal gain γ2", source="Table 1"
     )
     mu1: float = param(
-        1.2, unit="1/rad", above=0.0, per_joint=True, doc="sharpness μ1 of the linear term's weight", source="Table 1"
+        1.2,
+        unit="1/rad",
+        above=0.0,
+        per_joint=True,
+        doc="sharpness μ1 of the linear term's weight",
+        source="Table 1",
     )
     mu2: float = param(
-        1.4, unit="1/rad", above=0.0, per_joint=True, doc="sharpness μ2 of the terminal term's weight", source="Table 1"
+        1.4,
+        unit="1/rad",
+        above=0.0,
+        per_joint=True,
+        doc="sharpness μ2 of the terminal term's weight",
+        source="Table 1",
     )
     alpha: float = param(
         0.6, unit="-", above=0.0, below=1.0, per_joint=True, doc="terminal exponent α", source="Table 1"
@@ -126,7 +137,7 @@ class TerminalSurfaceLaw(AccelerationLaw):
         at_most=0.1,
         per_joint=True,
         doc="smallest |e| in the terminal slope |e|^(α-1)",
-        source="chosen: eq 17 is singular at e = 0; the mean error does not depend on it, the torque variation does",
+        source="chosen: eq 17 is singular at e = 0; only the torque variation depends on it",
     )
 
     @cached_property
@@ -135,12 +146,12 @@ class TerminalSurfaceLaw(AccelerationLaw):
         return switch_error(self.gamma1, self.gamma2, self.alpha)
 
     @staticmethod
-    def surface(p: Any, e: float, de: float) -> float:  # noqa: ANN401
+    def surface(p: Any, e: float, de: float) -> float:
         """σ of eq 8."""
         return surface(e, de, p.gamma1, p.gamma2, p.mu1, p.mu2, p.alpha, p.phi)
 
     @staticmethod
-    def surface_rate(p: Any, e: float, de: float) -> float:  # noqa: ANN401
+    def surface_rate(p: Any, e: float, de: float) -> float:
         """S(e, ė) of eq 17."""
         return surface_rate(e, de, p.gamma1, p.gamma2, p.mu1, p.mu2, p.alpha, p.phi, p.epsilon)
 

@@ -25,4 +25,6 @@ class VoKangFriction(Disturbance):
     def torque(self, t: float, q: Vector, v: Vector, u: Vector) -> Vector:
         """-F_d, N·m."""
         a, b = per_joint(self.a, len(q)), per_joint(self.b, len(q))
-        return tuple([-(ai * math.sin((t - 2.0) * vi) + bi * qi * qi * qi) for ai, bi, qi, vi in zip(a, b, q, v)])
+        return tuple(
+            [-(ai * math.sin((t - 2.0) * vi) + bi * qi * qi * qi) for ai, bi, qi, vi in zip(a, b, q, v)]
+        )

@@ -22,11 +22,11 @@ class Observer(Component):
     """
 
     @abstractmethod
-    def init(self, robot: Robot, y: Measurement) -> Any:  # noqa: ANN401 (an immutable record of its own)
+    def init(self, robot: Robot, y: Measurement) -> Any:
         """Return the state at the first measurement it sees; the estimate starts from zero."""
 
     @abstractmethod
-    def step(self, robot: Robot, dt: float, y: Measurement, state: Any) -> tuple[Vector, Any]:  # noqa: ANN401
+    def step(self, robot: Robot, dt: float, y: Measurement, state: Any) -> tuple[Vector, Any]:
         """Advance from the previous tick to this one.
 
         Args:

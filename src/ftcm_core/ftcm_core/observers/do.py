@@ -30,7 +30,9 @@ class DOState(NamedTuple):
 class DO(Observer):
     """Disturbance observer: ω̂̇ = M⁻¹(u - h - G) - Δ̂ - k2(ω̂ - x2), Δ̂̇ = k1(ω̂ - x2) (eq 27), forward Euler."""
 
-    k1: float = param(20000.0, unit="1/s²", above=0.0, per_joint=True, doc="disturbance gain k1", source="Table 1")
+    k1: float = param(
+        20000.0, unit="1/s²", above=0.0, per_joint=True, doc="disturbance gain k1", source="Table 1"
+    )
     k2: float = param(200.0, unit="1/s", above=0.0, per_joint=True, doc="velocity gain k2", source="Table 1")
 
     def init(self, robot: Robot, y: Measurement) -> DOState:
@@ -42,7 +44,11 @@ class DO(Observer):
         acceleration = robot.forward_dynamics(state.position, state.velocity, y.effort)
         omega, delta = [], []
         for p, w, d, v, a in zip(
-            joint_parameters(self, robot.joints), state.omega_hat, state.delta_hat, state.velocity, acceleration
+            joint_parameters(self, robot.joints),
+            state.omega_hat,
+            state.delta_hat,
+            state.velocity,
+            acceleration,
         ):
             w_next, d_next = observer_step(p.k1, p.k2, w, d, v, a, dt)
             omega.append(w_next)

@@ -13,7 +13,9 @@ from ftcm_core.signals import ReferencePoint
 class Constant(Reference):
     """x_r = position: a set-point."""
 
-    position: float = param(0.0, unit="rad", per_joint=True, doc="desired position", source="chosen: zero pose")
+    position: float = param(
+        0.0, unit="rad", per_joint=True, doc="desired position", source="chosen: zero pose"
+    )
 
     def at(self, t: float, joints: int) -> ReferencePoint:
         """The set-point, at rest."""

@@ -15,7 +15,9 @@ from ftcm_core.signals import ReferencePoint
 class Sine(Reference):
     """x_r = offset + amplitude sin(2π frequency t + phase)."""
 
-    amplitude: float = param(0.5, unit="rad", per_joint=True, doc="amplitude", source="chosen: moderate motion")
+    amplitude: float = param(
+        0.5, unit="rad", per_joint=True, doc="amplitude", source="chosen: moderate motion"
+    )
     frequency: float = param(
         0.1, unit="Hz", at_least=0.0, per_joint=True, doc="frequency", source="chosen: slow motion"
     )

@@ -1,0 +1,126 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The reference page of every component and its parameters, generated from the registry.
+
+``python -m ftcm_core.report.reference docs/`` writes ``docs/reference.md``; with ``--check`` it exits with 1
+if the page is out of date.
+"""
+
+from __future__ import annotations
+
+import argparse
+import sys
+from collections.abc import Iterable, Sequence
+from pathlib import Path
+from typing import Any
+
+from ftcm_core.params import ParamSpec, specs
+from ftcm_core.registry import KINDS, components
+from ftcm_core.scenario import InitialState, Scenario
+
+FILE = "reference.md"
+
+_INTRO = """# Reference
+
+Generated from the code by `python -m ftcm_core.report.reference docs/`; do not edit.
+
+A component is chosen in a [scenario file](scenarios.md) by its `type`; parameters left out have the
+defaults below. On the command line a parameter is a dotted path, e.g. `--set controller.gamma1=3`. In ROS the
+parameters of a component are `<type>.<name>` on its node, e.g. `ftcm.gamma1` on `/controller` and `do.k1` on
+`/observer`.
+
+"Per joint" means: one number for all joints, or a list with one number per joint. Sources are equations,
+tables and sections of Vo and Kang (2020), or "chosen", with the reason.
+"""
+
+_TITLES = {
+    "robot": "Robots",
+    "reference": "References",
+    "controller": "Controllers",
+    "observer": "Observers",
+    "disturbance": "Disturbances",
+    "fault": "Faults",
+}
+
+
+def summary(cls: type) -> str:
+    """Return the first line of a class's docstring."""
+    return next(iter((cls.__doc__ or "").strip().splitlines()), "")
+
+
+def reference_page() -> str:
+    """Return the page, in Markdown."""
+    parts = [_INTRO, "## Scenario", "Top-level keys besides the components, `initial_state` and `injection`:"]
+    parts += [_table(specs(Scenario).values()), "### `initial_state`", _table(specs(InitialState).values())]
+    for kind in KINDS:
+        parts.append(f"## {_TITLES.get(kind, kind.capitalize())}")
+        for name, cls in components(kind).items():
+            declared = list(specs(cls).values())
+            parts += [f"### `{name}`", _escape(summary(cls))]
+            if getattr(cls, "needs_observer", False):
+                parts.append("Needs an observer.")
+            parts.append(_table(declared) if declared else "No parameters.")
+    return "\n\n".join(part.strip() for part in parts) + "\n"
+
+
+def main(argv: Sequence[str] | None = None) -> int:
+    """Write the page, or check the one on disk."""
+    parser = argparse.ArgumentParser(
+        prog="python -m ftcm_core.report.reference", description=(__doc__ or "").split("\n")[0]
+    )
+    parser.add_argument("folder", type=Path, help="folder of reference.md")
+    parser.add_argument(
+        "--check", action="store_true", help="write nothing; exit with 1 if the page is out of date"
+    )
+    arguments = parser.parse_args(argv)
+    path: Path = arguments.folder / FILE
+    page = reference_page()
+    try:
+        if not arguments.check:
+            path.write_text(page, encoding="utf-8")
+        elif not path.is_file() or path.read_text(encoding="utf-8") != page:
+            command = f"python -m ftcm_core.report.reference {arguments.folder}"
+            print(f"{path} is out of date; run: {command}", file=sys.stderr)
+            return 1
+    except OSError as error:
+        print(f"{path}: {error.strerror or error}", file=sys.stderr)
+        return 1
+    return 0
+
+
+def _table(declared: Iterable[ParamSpec]) -> str:
+    lines = ["| name | default | unit | allowed | description | source |", "|---|---|---|---|---|---|"]
+    for spec in declared:
+        cells = (f"`{spec.name}`", _value(spec.default), spec.unit, _allowed(spec), spec.doc, spec.source)
+        lines.append("| " + " | ".join(_escape(c) for c in cells) + " |")
+    return "\n".join(lines)
+
+
+def _value(value: Any) -> str:
+    if value is None:
+        return "null"
+    if isinstance(value, bool):
+        return str(value).lower()
+    if isinstance(value, tuple):
+        return f"[{', '.join(_value(v) for v in value)}]"
+    short = f"{value:g}" if isinstance(value, float) else str(value)
+    return short if not isinstance(value, float) or float(short) == value else repr(value)
+
+
+def _allowed(spec: ParamSpec) -> str:
+    """Type and bounds in a few words."""
+    if spec.choices:
+        text = ", ".join(spec.choices)
+    else:
+        kinds = {"float": "number", "int": "whole number", "bool": "true, false", "str": "text"}
+        text = " ".join(x for x in (kinds.get(spec.kind, spec.kind), spec.interval) if x)
+    return text + (", per joint" if spec.per_joint else "") + (", or null" if spec.optional else "")
+
+
+def _escape(text: str) -> str:
+    for mark in ("|", "<", "*"):
+        text = text.replace(mark, "\\" + mark)
+    return text
+
+
+if __name__ == "__main__":
+    sys.exit(main())

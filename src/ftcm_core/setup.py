@@ -1,0 +1,23 @@
+# SPDX-License-Identifier: Apache-2.0
+from setuptools import find_packages, setup
+
+setup(
+    name="ftcm_core",
+    version="0.1.0",
+    description="Fault-tolerant sliding-mode control of manipulators, without ROS",
+    maintainer="FTCM maintainers",
+    maintainer_email="ftcm-maintainers@example.org",
+    license="Apache-2.0",
+    packages=find_packages(include=["ftcm_core", "ftcm_core.*"]),
+    # ftcm_core/config is a link to the workspace's config/: one copy of each scenario.
+    package_data={"ftcm_core": ["py.typed", "config/**/*.yaml"]},
+    data_files=[
+        ("share/ament_index/resource_index/packages", ["resource/ftcm_core"]),
+        ("share/ftcm_core", ["package.xml"]),
+    ],
+    zip_safe=False,
+    python_requires=">=3.10",
+    install_requires=["numpy>=1.26", "PyYAML>=6.0.1"],
+    extras_require={"figures": ["matplotlib>=3.6"], "compiled": ["numba>=0.61"]},
+    entry_points={"console_scripts": ["ftcm = ftcm_core.cli:main"]},
+)

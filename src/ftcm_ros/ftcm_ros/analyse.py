@@ -1,0 +1,91 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Analyse bags: metrics, table and figures from any rosbag2 bag with the suite's topics."""
+
+from __future__ import annotations
+
+import argparse
+import sys
+from collections import Counter
+from pathlib import Path
+
+from ftcm_core.errors import FtcmError
+from ftcm_core.report.results import labelled, new_folder, report, to_json, write_results
+from ftcm_core.scenario import load
+from ftcm_ros.bag import BagContents, read_bag
+
+
+def build_parser() -> argparse.ArgumentParser:
+    """Return the command line of ``analyse``."""
+    parser = argparse.ArgumentParser(
+        prog="analyse",
+        description="Metrics, table and figures of rosbag2 bags with the suite's topics; compares several.",
+    )
+    parser.add_argument("bags", nargs="+", type=Path, metavar="BAG", help="folder of a bag")
+    parser.add_argument(
+        "--scenario", help="scenario of the runs, for bags that do not carry it: a file or a shipped name"
+    )
+    parser.add_argument(
+        "--output", type=Path, metavar="DIR", help="write summary.json, table.md and figures/ there"
+    )
+    parser.add_argument("--json", action="store_true", help="print the results as one JSON object")
+    return parser
+
+
+def labels(bags: list[BagContents]) -> list[str]:
+    """Name each bag by its controller, or by its folder where that is not unique."""
+    names = [b.trace.scenario.controller.type_name if b.trace.scenario else b.path.name for b in bags]
+    count = Counter(names)
+    names = [n if count[n] == 1 else b.path.name for n, b in zip(names, bags)]
+    count = Counter(names)
+    return [n if count[n] == 1 else str(b.path) for n, b in zip(names, bags)]
+
+
+def analyse(options: argparse.Namespace) -> int:
+    """Do what the options say; return the exit status.
+
+    Raises:
+        FtcmError: a bag or the target cannot be used.
+    """
+    scenario = load(options.scenario) if options.scenario else None
+    folder = new_folder(options.output) if options.output else None
+    bags = [read_bag(path, scenario) for path in options.bags]
+    traces = list(zip(labels(bags), (b.trace for b in bags)))
+    for label, bag in zip((n for n, _ in traces), bags):
+        if bag.missing:
+            print(f"warning: {label}: ticks missing in the bag: {bag.missing}", file=sys.stderr)
+        if bag.trace.scenario is None:
+            print(
+                f"warning: {label}: the bag does not carry its scenario; no fault windows, no observer error "
+                "(give it with --scenario)",
+                file=sys.stderr,
+            )
+    results = [labelled(label, trace) for label, trace in traces]
+    extra = {"missing_ticks": {label: bag.missing for (label, _), bag in zip(traces, bags)}}
+    if folder is not None:
+        write_results(folder, traces, extra)
+        print(f"results: {folder}/summary.json, table.md, figures/", file=sys.stderr)
+    print(to_json({"results": results, **extra}, indent=1) if options.json else report(results).rstrip())
+    return 0
+
+
+def main(argv: list[str] | None = None) -> None:
+    """Entry point of ``ros2 run ftcm_ros analyse``."""
+    try:
+        status = analyse(build_parser().parse_args(argv))
+        sys.stdout.flush()
+    except FtcmError as error:
+        print(f"analyse: error: {error}", file=sys.stderr)
+        status = 2
+    except BrokenPipeError:
+        sys.stderr.close()
+        status = 0
+    except OSError as error:
+        print(f"analyse: error: {error}", file=sys.stderr)
+        status = 1
+    except KeyboardInterrupt:
+        status = 130
+    sys.exit(status)
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,224 @@
+# SPDX-License-Identifier: Apache-2.0
+"""A bag to a :class:`~ftcm_core.trace.Trace`: any rosbag2 bag with the suite's topics."""
+
+from __future__ import annotations
+
+import dataclasses
+import json
+from collections import defaultdict
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+import yaml
+from rosbags.rosbag2 import Reader
+from rosbags.typesys import Stores, get_typestore
+
+from ftcm_core.errors import FtcmError
+from ftcm_core.registry import find
+from ftcm_core.scenario import Scenario, from_mapping, parse_yaml
+from ftcm_core.trace import COLUMNS, Change, Trace
+from ftcm_ros.codec import CodecError, JointStateCodec, read_joint_state
+from ftcm_ros.topics import (
+    CHANGES,
+    DATA,
+    DIAGNOSTICS,
+    DISTURBANCE,
+    ESTIMATE,
+    JOINT_STATES,
+    REFERENCE,
+    SCENARIO,
+    TORQUES,
+)
+
+_SOURCES = {
+    "position": (JOINT_STATES.name, 0),
+    "velocity": (JOINT_STATES.name, 1),
+    "effort": (JOINT_STATES.name, 2),
+    "disturbance_estimate": (ESTIMATE.name, 2),
+    "command": (TORQUES.name, 2),
+    "disturbance": (DISTURBANCE.name, 2),
+    "reference_position": (REFERENCE.name, 0),
+    "reference_velocity": (REFERENCE.name, 1),
+}
+"""Column: its topic, and which array of the message."""
+
+Decoded = tuple[npt.NDArray[np.int64], list["npt.NDArray[np.float64] | None"]]
+
+
+@dataclasses.dataclass(frozen=True)
+class BagContents:
+    """A bag as analysed: the trace, and what the bag says about itself."""
+
+    path: Path
+    trace: Trace
+    missing: dict[str, int]
+    """Ticks of the run that a data topic lacks, per topic."""
+    nodes: dict[str, dict[str, str]]
+    """Last diagnostics of each node."""
+    metadata: dict[str, str]
+    """The recorder's custom data."""
+    received: dict[str, npt.NDArray[np.int64]]
+    """Time at which the recorder received each message, ns, per data topic."""
+
+
+def read_bag(path: Path, scenario: Scenario | None = None) -> BagContents:
+    """Read a bag.
+
+    Args:
+        path: folder of the bag.
+        scenario: the scenario of the run, for a bag that does not say.
+
+    Raises:
+        FtcmError: there is no bag, it cannot be read, or it has not the topics; in one line.
+    """
+    raw, received, metadata = _read_messages(path)
+    others = {name: raw.pop(name, []) for name in (CHANGES.name, SCENARIO.name, DIAGNOSTICS.name.lstrip("/"))}
+    if not raw.get(JOINT_STATES.name):
+        raise FtcmError(
+            f"bag {str(path)!r} has no messages on /{JOINT_STATES.name}; expected this suite's topics"
+        )
+    typestore = get_typestore(Stores.ROS2_JAZZY)
+    text = metadata.get("scenario") or next(
+        (typestore.deserialize_cdr(m, SCENARIO.type).data for m in others[SCENARIO.name]), None
+    )
+    if scenario is None and text:
+        scenario = from_mapping(parse_yaml(text, str(path))[0], origin=f"{path}: recorded scenario")
+    names = scenario.robot.joint_names if scenario else _joint_names(path, raw[JOINT_STATES.name][0])
+    decoded = {name: _decode(path, name, messages, names) for name, messages in raw.items() if messages}
+    stamps = np.unique(np.concatenate([times for times, _ in decoded.values()]))
+    dt_ns = scenario.dt_ns if scenario else int(np.median(np.diff(stamps))) if len(stamps) > 1 else 1_000_000
+    columns = {column: _column(decoded, stamps, len(names), *_SOURCES[column]) for column in COLUMNS}
+    missing = {}
+    for topic in DATA:
+        have = len(np.unique(decoded[topic.name][0])) if topic.name in decoded else 0
+        expected = round((int(stamps[-1]) - int(stamps[0])) / dt_ns) + 1
+        if have < expected:
+            missing[topic.name] = expected - have
+    nodes = _last_diagnostics(typestore, others[DIAGNOSTICS.name.lstrip("/")])
+    changes = _changes(typestore, others[CHANGES.name], dt_ns)
+    if scenario is not None:
+        scenario, changes = _initial_components(scenario, changes, int(stamps[0]) // dt_ns)
+    status, detail = _status(scenario, nodes.get("plant", {}), int(stamps[-1]), dt_ns)
+    trace = Trace(
+        joint_names=names, dt=dt_ns / 1e9, time_ns=stamps, **columns,
+        scenario=scenario, status=status, detail=detail, changes=tuple(changes),
+    )  # fmt: skip
+    return BagContents(path, trace, missing, nodes, metadata, received)
+
+
+def _read_messages(
+    path: Path,
+) -> tuple[dict[str, list[bytes]], dict[str, npt.NDArray[np.int64]], dict[str, str]]:
+    wanted = {t.name for t in DATA} | {CHANGES.name, SCENARIO.name, DIAGNOSTICS.name.lstrip("/")}
+    if not path.exists():
+        raise FtcmError(f"no bag {str(path)!r}; expected the folder of a rosbag2 bag")
+    raw: dict[str, list[bytes]] = defaultdict(list)
+    times: dict[str, list[int]] = defaultdict(list)
+    try:
+        with Reader(path) as reader:
+            # A namespace in front of the topics does not matter.
+            chosen = {
+                c.id: c.topic.rpartition("/")[2]
+                for c in reader.connections
+                if c.topic.rpartition("/")[2] in wanted
+            }
+            sinks = {i: (raw[name], times[name]) for i, name in chosen.items()}
+            for connection, received, data in reader.messages(
+                [c for c in reader.connections if c.id in chosen]
+            ):
+                messages, stamps = sinks[connection.id]
+                messages.append(bytes(data))
+                stamps.append(received)
+    except FtcmError:
+        raise
+    except Exception as error:  # rosbags has many error types, none of them a programming mistake here
+        reason = " ".join(str(error).split()) or type(error).__name__
+        raise FtcmError(f"bag {str(path)!r} cannot be read: {reason}") from None
+    return raw, {k: np.array(v, dtype=np.int64) for k, v in times.items()}, _custom_data(path)
+
+
+def _custom_data(path: Path) -> dict[str, str]:
+    """What the recorder wrote about the run; empty in a bag of another recorder."""
+    file = path / "metadata.yaml"
+    if not file.is_file():
+        return {}
+    information = yaml.safe_load(file.read_text(encoding="utf-8"))["rosbag2_bagfile_information"]
+    return dict(information.get("custom_data") or {})
+
+
+def _joint_names(path: Path, message: bytes) -> tuple[str, ...]:
+    try:
+        return tuple(read_joint_state(message)[1])
+    except CodecError as error:
+        raise FtcmError(f"bag {str(path)!r}: /{JOINT_STATES.name}: {error}") from None
+
+
+def _decode(path: Path, name: str, messages: Sequence[bytes], joint_names: tuple[str, ...]) -> Decoded:
+    codec = JointStateCodec(joint_names)
+    for layout in (codec.state, codec.torque, codec.motion):
+        found = layout.decode_all(messages)
+        if found is not None:
+            return found
+    try:
+        samples = [codec.decode(m) for m in messages]
+    except CodecError as error:
+        raise FtcmError(f"bag {str(path)!r}: /{name}: {error}") from None
+    nothing = (np.nan,) * len(joint_names)
+    arrays = [np.array([s[i] or nothing for s in samples], dtype=np.float64) for i in (1, 2, 3)]
+    return np.array([s.time_ns for s in samples], dtype=np.int64), [*arrays]
+
+
+def _column(
+    decoded: dict[str, Decoded], stamps: npt.NDArray[np.int64], joints: int, topic: str, index: int
+) -> npt.NDArray[np.float64]:
+    out = np.full((len(stamps), joints), np.nan)
+    if topic in decoded:
+        times, arrays = decoded[topic]
+        values = arrays[index]
+        if values is not None:
+            out[np.searchsorted(stamps, times)] = values
+    return out
+
+
+def _last_diagnostics(typestore: Any, messages: Sequence[bytes]) -> dict[str, dict[str, str]]:
+    nodes: dict[str, dict[str, str]] = {}
+    for data in messages:
+        for status in typestore.deserialize_cdr(data, DIAGNOSTICS.type).status:
+            name, _, what = status.name.partition(":")
+            if what.strip() == "tick":
+                nodes[name] = {"message": status.message, **{v.key: v.value for v in status.values}}
+    return nodes
+
+
+def _changes(typestore: Any, messages: Sequence[bytes], dt_ns: int) -> list[Change]:
+    found = []
+    for data in messages:
+        array = typestore.deserialize_cdr(data, CHANGES.type)
+        tick = (array.header.stamp.sec * 1_000_000_000 + array.header.stamp.nanosec) // dt_ns
+        for status in array.status:
+            values = {v.key: v.value for v in status.values}
+            mapping = json.loads(values["component"])
+            component = find(status.name, mapping.pop("type"))(**mapping)
+            found.append(Change(tick, status.name, component))
+    return sorted(found, key=lambda c: c.tick)
+
+
+def _initial_components(
+    scenario: Scenario, changes: list[Change], first: int
+) -> tuple[Scenario, list[Change]]:
+    """The components in force at the first tick belong to the scenario; later ones are changes."""
+    initial = {c.kind: c.component for c in changes if c.tick <= first}
+    return dataclasses.replace(scenario, **initial), [c for c in changes if c.tick > first]
+
+
+def _status(scenario: Scenario | None, plant: dict[str, str], last_ns: int, dt_ns: int) -> tuple[str, str]:
+    if plant.get("state") == "diverged":
+        return "diverged", plant.get("detail", "")
+    if scenario is not None and last_ns // dt_ns >= scenario.last_tick:
+        return "completed", ""
+    return "incomplete", f"ends at t = {last_ns / 1e9:g} s" + (
+        f" of {scenario.duration:g} s" if scenario else ""
+    )

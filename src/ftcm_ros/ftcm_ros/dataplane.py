@@ -1,0 +1,149 @@
+# SPDX-License-Identifier: Apache-2.0
+"""How data messages get in and out of a node: the only place that knows.
+
+rclpy's executor costs about 130 µs a message, the middleware almost nothing. So a stage takes the
+data topics from a wait set of its own, as serialized bytes, on the main thread; services,
+parameters, lifecycle and diagnostics stay on an ordinary executor in a background thread. With
+the parameter ``data_path`` at ``executor`` everything goes through one ordinary executor instead,
+with equal results.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import importlib
+import sys
+import threading
+from collections.abc import Callable
+from typing import Any
+
+from rclpy.callback_groups import CallbackGroup, MutuallyExclusiveCallbackGroup
+from rclpy.executors import ExternalShutdownException, ShutdownException, SingleThreadedExecutor
+from rclpy.impl.implementation_singleton import rclpy_implementation as _rclpy
+from rclpy.node import Node
+from rclpy.publisher import Publisher
+from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
+from rclpy.subscription import Subscription
+
+from ftcm_ros.topics import DEPTH, Topic
+
+Handler = Callable[[bytes, int], None]
+"""Takes one serialized message and the time it was received (system clock, ns)."""
+
+SWITCH_INTERVAL = 1e-4
+"""How long a background thread may keep the interpreter from the tick, s."""
+
+
+class _NoExecutor(CallbackGroup):
+    """Keeps subscriptions out of the executor's wait set: the data plane takes them itself."""
+
+    def can_execute(self, entity: Any) -> bool:
+        return False
+
+    def beginning_execution(self, entity: Any) -> bool:
+        return False
+
+    def ending_execution(self, entity: Any) -> None:
+        pass
+
+
+def message_class(type_name: str) -> Any:
+    """Return the Python class of ``package/msg/Name``."""
+    package, _, name = type_name.partition("/msg/")
+    return getattr(importlib.import_module(f"{package}.msg"), name)
+
+
+def qos(topic: Topic) -> QoSProfile:
+    """Reliable with explicit depth; latched topics keep their messages for late subscribers."""
+    return QoSProfile(
+        depth=DEPTH if not topic.latched else 100,
+        reliability=ReliabilityPolicy.RELIABLE,
+        durability=DurabilityPolicy.TRANSIENT_LOCAL if topic.latched else DurabilityPolicy.VOLATILE,
+    )
+
+
+class DataPlane:
+    """The data subscriptions and publishers of one node."""
+
+    def __init__(self, node: Node, path: str) -> None:
+        """Use the given path: ``waitset`` or ``executor``."""
+        self._node = node
+        self._path = path
+        self._group = _NoExecutor() if path == "waitset" else MutuallyExclusiveCallbackGroup()
+        self._subscriptions: list[tuple[Subscription, Any, Handler]] = []
+        self._publishers: list[tuple[Topic, Publisher]] = []
+        self._wait_set: Any = None
+        self._executor = SingleThreadedExecutor(context=node.context)
+        self._thread: threading.Thread | None = None
+
+    def subscribe(self, topic: Topic, handler: Handler) -> None:
+        """Hand every message of a topic to a handler, serialized, on the main thread."""
+
+        def callback(data: bytes, info: Any) -> None:
+            handler(data, info["received_timestamp"])
+
+        cls = message_class(topic.type)
+        made = self._node.create_subscription(
+            cls, topic.name, callback, qos(topic), callback_group=self._group, raw=True
+        )
+        self._subscriptions.append((made, cls, handler))
+
+    def publisher(self, topic: Topic) -> Callable[[Any], None]:
+        """Return a function that publishes a message object or its serialized bytes."""
+        made = self._node.create_publisher(message_class(topic.type), topic.name, qos(topic))
+        self._publishers.append((topic, made))
+        return made.publish
+
+    def start(self) -> None:
+        """Begin to serve the node's other callbacks."""
+        self._executor.add_node(self._node)
+        if self._path == "waitset":
+            sys.setswitchinterval(SWITCH_INTERVAL)
+            count = len(self._subscriptions)
+            self._wait_set = _rclpy.WaitSet(count, 0, 0, 0, 0, 0, self._node.context.handle)
+            self._thread = threading.Thread(target=self._serve, name="services", daemon=True)
+            self._thread.start()
+
+    def _serve(self) -> None:
+        with contextlib.suppress(ExternalShutdownException, ShutdownException):
+            self._executor.spin()
+
+    def stop(self) -> None:
+        """Stop serving; the data plane is not used after this."""
+        self._executor.shutdown(timeout_sec=1.0)
+        if self._thread is not None:
+            self._thread.join(timeout=1.0)
+
+    def poll(self, timeout_ns: int) -> None:
+        """Wait at most so long for messages and hand all that are here to their handlers."""
+        if self._wait_set is None:
+            self._executor.spin_once(timeout_sec=timeout_ns / 1e9)
+            return
+        wait_set = self._wait_set
+        wait_set.clear_entities()
+        for subscription, _, _ in self._subscriptions:
+            wait_set.add_subscription(subscription.handle)
+        wait_set.wait(timeout_ns)
+        ready = wait_set.get_ready_entities("subscription")
+        if ready:
+            for subscription, cls, handler in self._subscriptions:
+                handle = subscription.handle
+                if handle.pointer in ready:
+                    while (taken := handle.take_message(cls, True)) is not None:
+                        handler(taken[0], taken[1]["received_timestamp"])
+
+    def unmatched(self) -> str:
+        """Which endpoint still waits for the suite's other nodes; empty when all are matched."""
+        for topic, made in self._publishers:
+            if (count := made.get_subscription_count()) < len(topic.subscribers):
+                return f"{topic.name} has {count} of {len(topic.subscribers)} subscribers {topic.subscribers}"
+        for made, _, _ in self._subscriptions:
+            if made.get_publisher_count() == 0:
+                return f"{made.topic_name} has no publisher"
+        return ""
+
+    def has_publisher(self, topic: Topic) -> bool:
+        """Whether anybody publishes a topic that this node subscribes."""
+        return any(
+            s.get_publisher_count() for s, _, _ in self._subscriptions if s.topic_name.endswith(topic.name)
+        )

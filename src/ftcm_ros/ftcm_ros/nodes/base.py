@@ -1,0 +1,374 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What all nodes share: parameters, lifecycle, diagnostics, the main loop, and how they stop."""
+
+from __future__ import annotations
+
+import gc
+import signal
+import sys
+import threading
+import time
+from abc import abstractmethod
+from collections.abc import Callable
+from typing import Any
+
+import rclpy
+from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
+from rcl_interfaces.msg import ParameterDescriptor
+from rclpy.clock import Clock, ClockType
+from rclpy.exceptions import InvalidParameterTypeException, InvalidParameterValueException
+from rclpy.lifecycle import LifecycleNode, LifecycleState, TransitionCallbackReturn
+from rclpy.signals import SignalHandlerOptions
+
+from ftcm_core.errors import FtcmError
+from ftcm_core.scenario import Scenario, load
+from ftcm_core.signals import NANOSECONDS
+from ftcm_ros.aligner import Aligner
+from ftcm_ros.codec import CodecError, JointSample, JointStateCodec
+from ftcm_ros.dataplane import DataPlane
+from ftcm_ros.processes import end_with_parent
+from ftcm_ros.settings import setting
+from ftcm_ros.topics import DIAGNOSTICS, JOINT_STATES, Topic
+
+POLL_NS = NANOSECONDS // 50
+"""How often a waiting node looks at other things, ns."""
+MATCH_TIMEOUT = 20.0
+"""How long a node waits at activation for the suite's other nodes, s."""
+
+
+class SuiteNode(LifecycleNode):
+    """A managed node whose data messages arrive on the main thread."""
+
+    def __init__(self, name: str) -> None:
+        """Declare the common parameters and read the scenario.
+
+        Raises:
+            FtcmError: a parameter or the scenario is not valid.
+        """
+        super().__init__(name)
+        self._kind = name
+        self.scenario: Scenario = load(self.setting("scenario"))
+        self.autostart: bool = self.setting("autostart")
+        self._await_graph: bool = self.setting("await_graph")
+        self.codec = JointStateCodec(self.scenario.robot.joint_names)
+        self.plane = DataPlane(self, self.setting("data_path"))
+        self.active = False
+        self.stopping = False
+        self.ticks = 0
+        """Ticks done since activation."""
+        self.refused = 0
+        """Messages refused, and the last reason."""
+        self.refusal = ""
+        self._report = self.plane.publisher(DIAGNOSTICS)
+        self._report_marks = (time.monotonic(), 0)
+        self.create_timer(1.0, self.report, clock=Clock(clock_type=ClockType.STEADY_TIME))
+        self._main = threading.current_thread()
+        self._work: list[tuple[Callable[[], Any], threading.Event, list[Any]]] = []
+
+    def setting(self, name: str) -> Any:
+        """Declare one of this node's read-only parameters and return its value."""
+        declared = setting(self._kind, name)
+        text = declared.description + (f"; one of {', '.join(declared.choices)}" if declared.choices else "")
+        descriptor = ParameterDescriptor(description=text, read_only=True)
+        return declared.check(self.declare_parameter(name, declared.default, descriptor).value)
+
+    # Lifecycle. Transitions run on the services thread; what touches the data runs on the main one.
+
+    def on_configure(self, state: LifecycleState) -> TransitionCallbackReturn:
+        """Make the stage ready to begin a run."""
+        return self._transition(self.configure)
+
+    def on_activate(self, state: LifecycleState) -> TransitionCallbackReturn:
+        """Begin a run."""
+        if self._await_graph and not self._wait_for_graph():
+            return TransitionCallbackReturn.FAILURE
+        return self._transition(self._activate)
+
+    def on_deactivate(self, state: LifecycleState) -> TransitionCallbackReturn:
+        """End the run."""
+        return self._transition(self._deactivate)
+
+    def on_shutdown(self, state: LifecycleState) -> TransitionCallbackReturn:
+        """End the run and the process."""
+        result = self._transition(self._deactivate)
+        self.stopping = True
+        return result
+
+    def _activate(self) -> None:
+        self.ticks = 0
+        self.activate()
+        gc.collect()
+        gc.freeze()
+        self.active = True
+
+    def _deactivate(self) -> None:
+        if self.active:
+            self.active = False
+            self.deactivate()
+            self.report()
+
+    def _transition(self, work: Callable[[], None]) -> TransitionCallbackReturn:
+        try:
+            self.on_main_thread(work)
+        except (FtcmError, OSError) as error:
+            self.get_logger().error(str(error))
+            return TransitionCallbackReturn.FAILURE
+        return TransitionCallbackReturn.SUCCESS
+
+    def _wait_for_graph(self) -> bool:
+        end = time.monotonic() + MATCH_TIMEOUT
+        while missing := self.plane.unmatched():
+            if time.monotonic() > end or self.stopping:
+                self.get_logger().error(f"not activated: {missing} after {MATCH_TIMEOUT:g} s")
+                return False
+            time.sleep(0.01)  # the graph has no wait of its own that covers both directions
+        return True
+
+    def configure(self) -> None:
+        """Make the stage; main thread."""
+
+    def activate(self) -> None:
+        """Begin a run; main thread."""
+
+    def deactivate(self) -> None:
+        """End the run; main thread."""
+
+    def on_main_thread(self, work: Callable[[], Any]) -> Any:
+        """Run something between two polls of the main loop and return its result."""
+        if threading.current_thread() is self._main:
+            return work()
+        done, outcome = threading.Event(), [None, None]
+        self._work.append((work, done, outcome))
+        done.wait()
+        if outcome[1] is not None:
+            raise outcome[1]
+        return outcome[0]
+
+    def do_main_thread_work(self) -> None:
+        """Run what other threads have asked for."""
+        while self._work:
+            work, done, outcome = self._work.pop(0)
+            try:
+                outcome[0] = work()
+            except Exception as error:  # handed to the thread that asked
+                outcome[1] = error
+            done.set()
+
+    def spin(self) -> None:
+        """Run the main loop until asked to stop."""
+        self.plane.start()
+        if self.autostart:
+            self.trigger_configure()
+            self.trigger_activate()
+            if not self.active:
+                raise FtcmError(f"{self.get_name()} could not be activated")
+        while not self.stopping:
+            self.do_main_thread_work()
+            self.step()
+        self.do_main_thread_work()
+        self._deactivate()
+
+    def step(self) -> None:
+        """One round of the main loop: by default, wait for messages."""
+        self.plane.poll(POLL_NS)
+
+    # Messages.
+
+    def decode(self, topic: Topic, data: bytes) -> JointSample | None:
+        """Decode a JointState; None and a count if it is refused."""
+        try:
+            return self.codec.decode(data)
+        except CodecError as error:
+            self.refuse(topic, str(error))
+            return None
+
+    def refuse(self, topic: Topic, reason: str) -> None:
+        """Count a message that cannot be used."""
+        self.refused += 1
+        self.refusal = f"{topic.name}: {reason}"
+        if self.refused == 1:
+            self.get_logger().warning(f"message refused: {self.refusal}")
+
+    # Diagnostics.
+
+    @abstractmethod
+    def health(self) -> tuple[str, str, dict[str, Any]]:
+        """Return level (``ok``, ``warn``, ``error``), a message and values; services thread."""
+
+    def report(self) -> None:
+        """Publish this node's diagnostics."""
+        now, (then, ticks) = time.monotonic(), self._report_marks
+        self._report_marks = (now, self.ticks)
+        level, message, values = self.health()
+        rate = max(0, self.ticks - ticks) / max(now - then, 1e-9)
+        if self.refused:
+            level, message = "error", f"{self.refused} messages refused, last: {self.refusal}"
+        common = {
+            "ticks": self.ticks,
+            "rate_hz": round(rate, 1),
+            "refused": self.refused,
+            "cpu_seconds": round(time.process_time(), 3),
+        }
+        status = DiagnosticStatus(
+            level={"ok": DiagnosticStatus.OK, "warn": DiagnosticStatus.WARN, "error": DiagnosticStatus.ERROR}[
+                level
+            ],
+            name=f"{self.get_name()}: tick",
+            message=message,
+            hardware_id=self.scenario.robot.type_name,
+            values=[KeyValue(key=k, value=str(v)) for k, v in {**common, **values}.items()],
+        )
+        array = DiagnosticArray(status=[status])
+        array.header.stamp = self.get_clock().now().to_msg()
+        self._report(array)
+
+
+class ExecutionTimes:
+    """Mean and largest execution time since they were last asked for."""
+
+    def __init__(self) -> None:
+        """Nothing measured yet."""
+        self.count = self.total = self.largest = 0
+
+    def add(self, elapsed_ns: int) -> None:
+        """Add one execution, ns."""
+        self.count += 1
+        self.total += elapsed_ns
+        if elapsed_ns > self.largest:
+            self.largest = elapsed_ns
+
+    def take(self) -> dict[str, float]:
+        """Return ``execution_mean_us`` and ``execution_max_us`` and begin anew."""
+        mean = self.total / self.count / 1000 if self.count else 0.0
+        found = {"execution_mean_us": round(mean, 1), "execution_max_us": round(self.largest / 1000, 1)}
+        self.count = self.total = self.largest = 0
+        return found
+
+
+def execution_level(times: dict[str, float]) -> str:
+    """Level of a mean execution time: warn above 1 ms, error above 2 ms (as ros2_control has it)."""
+    mean = times["execution_mean_us"]
+    return "error" if mean > 2000 else "warn" if mean > 1000 else "ok"
+
+
+class ReactiveNode(SuiteNode):
+    """A stage that answers: when a tick's inputs are all here, it computes and publishes."""
+
+    def __init__(self, name: str, inputs: tuple[Topic, ...], needs: dict[Topic, tuple[str, ...]]) -> None:
+        """Subscribe the inputs.
+
+        Args:
+            name: node name.
+            inputs: topics that carry a value per tick.
+            needs: which arrays of each must be filled.
+        """
+        super().__init__(name)
+        self.aligner = Aligner(tuple(t.name for t in inputs))
+        self.times = ExecutionTimes()
+        self.gaps = 0
+        """Ticks skipped between two that were answered."""
+        self.age_ns = 0
+        """How long the oldest input of the last tick had waited, ns."""
+        self._arrived = 0
+        self._answer: list[tuple[Callable[[Any], None], bytes]] = []
+        for topic in inputs:
+            self.plane.subscribe(topic, self._handler(topic, needs[topic]))
+
+    def _handler(self, topic: Topic, arrays: tuple[str, ...]) -> Callable[[bytes, int], None]:
+        name = topic.name
+
+        def handle(data: bytes, received_ns: int) -> None:
+            if not self.active:
+                return
+            sample = self.decode(topic, data)
+            if sample is None:
+                return
+            for array in arrays:
+                if not getattr(sample, array):
+                    self.refuse(topic, f"{array} is empty; expected one value per joint")
+                    return
+            self.take(name, sample)
+
+        return handle
+
+    def take(self, name: str, sample: JointSample) -> None:
+        """Take one input; answer if its tick is complete."""
+        time_ns, aligner = sample.time_ns, self.aligner
+        begin = time.monotonic_ns()
+        if aligner.last is not None:
+            if time_ns == 0 < aligner.last:  # tick 0 begins a run
+                self.configure()
+            elif time_ns == aligner.last and name == JOINT_STATES.name:  # the plant asks again
+                for publish, data in self._answer:
+                    publish(data)
+                return
+        before = aligner.last
+        values = aligner.put(name, time_ns, sample)
+        if values is None:
+            self._arrived = begin
+            return
+        if before is not None and time_ns - before > self.scenario.dt_ns:
+            self.gaps += (time_ns - before) // self.scenario.dt_ns - 1
+        self._answer = self.answer(time_ns, values)
+        for publish, data in self._answer:
+            publish(data)
+        self.ticks += 1
+        end = time.monotonic_ns()
+        self.age_ns = begin - self._arrived if len(aligner.required) > 1 else 0
+        self.times.add(end - begin)
+
+    @abstractmethod
+    def answer(
+        self, time_ns: int, values: dict[str, JointSample]
+    ) -> list[tuple[Callable[[Any], None], bytes]]:
+        """Compute one tick: return what to publish."""
+
+    def configure(self) -> None:
+        """Begin afresh with the next tick."""
+        self.aligner.reset()
+        self._answer = []
+
+    def health(self) -> tuple[str, str, dict[str, Any]]:
+        """Execution times, gaps and age of inputs."""
+        times = self.times.take()
+        level = execution_level(times)
+        message = "active" if self.active else "inactive"
+        if self.gaps:
+            level, message = "warn", f"{self.gaps} ticks skipped"
+        return level, message, {
+            **times,
+            "gaps": self.gaps,
+            "stale": self.aligner.stale,
+            "dropped": self.aligner.dropped,
+            "input_age_us": round(self.age_ns / 1000, 1),
+        }  # fmt: skip
+
+
+def run(factory: Callable[[], SuiteNode]) -> int:
+    """Run a node until SIGINT or SIGTERM; a user's mistake is one line and status 2."""
+    rclpy.init(signal_handler_options=SignalHandlerOptions.NO)
+    node: SuiteNode | None = None
+
+    def stop(signum: int, frame: Any) -> None:
+        if node is None:
+            raise KeyboardInterrupt
+        node.stopping = True
+
+    signal.signal(signal.SIGINT, stop)
+    signal.signal(signal.SIGTERM, stop)
+    end_with_parent()
+    try:
+        node = factory()
+        node.spin()
+    except KeyboardInterrupt:
+        return 130
+    except (FtcmError, OSError, InvalidParameterTypeException, InvalidParameterValueException) as error:
+        text = " ".join(str(error).split())
+        print(f"{node.get_name() if node else 'ftcm_ros'}: error: {text}", file=sys.stderr)
+        return 2
+    finally:
+        if node is not None:
+            node.plane.stop()
+            node.destroy_node()
+        rclpy.try_shutdown()
+    return 0

@@ -1,0 +1,84 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The controller node: ``joint_states`` and ``disturbance_estimate`` in, ``joint_torques`` out."""
+
+from __future__ import annotations
+
+import math
+import sys
+from collections.abc import Callable
+from typing import Any, cast
+
+from ftcm_core.controllers import Controller
+from ftcm_core.registry import Component
+from ftcm_core.signals import Measurement
+from ftcm_core.stages import ControllerStage
+from ftcm_ros.codec import JointSample
+from ftcm_ros.nodes.base import run
+from ftcm_ros.nodes.swappable import SwappableNode
+from ftcm_ros.topics import ESTIMATE, JOINT_STATES, REFERENCE, TORQUES
+
+
+class ControllerNode(SwappableNode):
+    """Runs the control law; a law that uses no observer does not wait for the estimate."""
+
+    def __init__(self) -> None:
+        """Subscribe measurements and estimates, publish torques and the reference."""
+        super().__init__(
+            "controller",
+            (JOINT_STATES, ESTIMATE),
+            {JOINT_STATES: ("position", "velocity", "effort"), ESTIMATE: ("effort",)},
+        )
+        self._publish = self.plane.publisher(TORQUES)
+        self._publish_reference = self.plane.publisher(REFERENCE)
+        self._zeros = (0.0,) * self.scenario.robot.joints
+        self.configure()
+
+    def configure(self) -> None:
+        """A fresh control law."""
+        super().configure()
+        law = cast(Controller, self.parameters.component)
+        self.stage = ControllerStage(law, self.scenario.reference, self.scenario.robot, self.scenario.dt)
+        self._require(law)
+
+    def _require(self, law: Controller) -> None:
+        names = (JOINT_STATES.name, ESTIMATE.name)
+        self.aligner.required = names if law.needs_observer else names[:1]
+
+    def use(self, component: Component) -> None:
+        """Swap the law."""
+        law = cast(Controller, component)
+        self.stage.swap(law)
+        self._require(law)
+
+    def answer(
+        self, time_ns: int, values: dict[str, JointSample]
+    ) -> list[tuple[Callable[[Any], None], bytes]]:
+        """One torque and the reference it followed."""
+        estimate = values.get(ESTIMATE.name)
+        try:
+            u, reference = self.stage.step(
+                time_ns,
+                Measurement(*values[JOINT_STATES.name][1:]),
+                estimate.effort if estimate else self._zeros,
+            )
+        except (ArithmeticError, ValueError) as error:  # a law driven out of its domain: the run has diverged
+            self.get_logger().error(f"tick {time_ns // self.scenario.dt_ns}: {error}")
+            u = (math.nan,) * self.scenario.robot.joints
+            reference = self.scenario.reference.at(time_ns / 1e9, self.scenario.robot.joints)
+        self.announce(time_ns, self.stage.controller, u)
+        return [
+            (self._publish, self.codec.torque.encode(time_ns, u)),
+            (
+                self._publish_reference,
+                self.codec.motion.encode(time_ns, reference.position, reference.velocity),
+            ),
+        ]
+
+
+def main() -> None:
+    """Entry point of ``ros2 run ftcm_ros controller``."""
+    sys.exit(run(ControllerNode))
+
+
+if __name__ == "__main__":
+    main()

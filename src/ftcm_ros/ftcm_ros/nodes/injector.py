@@ -1,0 +1,51 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The injector node: ``joint_states`` and ``joint_torques`` in, ``disturbance`` out."""
+
+from __future__ import annotations
+
+import math
+import sys
+from collections.abc import Callable
+from typing import Any
+
+from ftcm_ros.codec import JointSample
+from ftcm_ros.nodes.base import ReactiveNode, run
+from ftcm_ros.topics import DISTURBANCE, JOINT_STATES, TORQUES
+
+
+class InjectorNode(ReactiveNode):
+    """Adds the scenario's disturbances and faults as joint torques."""
+
+    def __init__(self) -> None:
+        """Subscribe measurements and torques, publish the added torque."""
+        super().__init__(
+            "injector",
+            (JOINT_STATES, TORQUES),
+            {JOINT_STATES: ("position", "velocity"), TORQUES: ("effort",)},
+        )
+        self._publish = self.plane.publisher(DISTURBANCE)
+        self.stage = self.scenario.injector_stage()
+
+    def answer(
+        self, time_ns: int, values: dict[str, JointSample]
+    ) -> list[tuple[Callable[[Any], None], bytes]]:
+        """One disturbance."""
+        state = values[JOINT_STATES.name]
+        try:
+            d = self.stage.step(time_ns, state.position, state.velocity, values[TORQUES.name].effort).torque
+        except (
+            ArithmeticError,
+            ValueError,
+        ) as error:  # a fault driven out of its domain: the run has diverged
+            self.get_logger().error(f"tick {time_ns // self.scenario.dt_ns}: {error}")
+            d = (math.nan,) * self.scenario.robot.joints
+        return [(self._publish, self.codec.torque.encode(time_ns, d))]
+
+
+def main() -> None:
+    """Entry point of ``ros2 run ftcm_ros injector``."""
+    sys.exit(run(InjectorNode))
+
+
+if __name__ == "__main__":
+    main()

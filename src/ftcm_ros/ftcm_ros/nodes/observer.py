@@ -1,0 +1,54 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The observer node: ``joint_states`` in, ``disturbance_estimate`` out."""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Callable
+from typing import Any, cast
+
+from ftcm_core.observers import Observer
+from ftcm_core.registry import Component
+from ftcm_core.signals import Measurement
+from ftcm_core.stages import ObserverStage
+from ftcm_ros.codec import JointSample
+from ftcm_ros.nodes.base import run
+from ftcm_ros.nodes.swappable import SwappableNode
+from ftcm_ros.topics import ESTIMATE, JOINT_STATES
+
+
+class ObserverNode(SwappableNode):
+    """Runs the disturbance observer."""
+
+    def __init__(self) -> None:
+        """Subscribe measurements, publish estimates."""
+        super().__init__("observer", (JOINT_STATES,), {JOINT_STATES: ("position", "velocity", "effort")})
+        self._publish = self.plane.publisher(ESTIMATE)
+        self.configure()
+
+    def configure(self) -> None:
+        """A fresh observer."""
+        super().configure()
+        observer = cast(Observer, self.parameters.component)
+        self.stage = ObserverStage(observer, self.scenario.robot, self.scenario.dt)
+
+    def use(self, component: Component) -> None:
+        """Swap the observer."""
+        self.stage.swap(cast(Observer, component))
+
+    def answer(
+        self, time_ns: int, values: dict[str, JointSample]
+    ) -> list[tuple[Callable[[Any], None], bytes]]:
+        """One estimate."""
+        tau_hat = self.stage.step(Measurement(*values[JOINT_STATES.name][1:]))
+        self.announce(time_ns, self.stage.observer, tau_hat)
+        return [(self._publish, self.codec.torque.encode(time_ns, tau_hat))]
+
+
+def main() -> None:
+    """Entry point of ``ros2 run ftcm_ros observer``."""
+    sys.exit(run(ObserverNode))
+
+
+if __name__ == "__main__":
+    main()

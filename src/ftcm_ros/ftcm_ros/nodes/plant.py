@@ -1,0 +1,226 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The plant node: publishes ``joint_states``, integrates the robot, and is the only one with a clock."""
+
+from __future__ import annotations
+
+import sys
+import time
+from array import array
+from collections.abc import Sequence
+from typing import Any
+
+from builtin_interfaces.msg import Time
+from rclpy.serialization import deserialize_message
+from std_msgs.msg import String
+
+from ftcm_core.signals import NANOSECONDS, TrueDisturbance, seconds
+from ftcm_ros.nodes.base import POLL_NS, ExecutionTimes, SuiteNode, run
+from ftcm_ros.pacing import PACERS, Misses, RealTime
+from ftcm_ros.topics import CLOCK, DISTURBANCE, JOINT_STATES, RECORDED, SCENARIO, TORQUES, Topic
+
+CLOCK_PERIOD_NS = NANOSECONDS // 100
+ASK_AGAIN_NS = NANOSECONDS
+"""In lockstep, how long an answer may take before the measurement is published again."""
+
+
+class PlantNode(SuiteNode):
+    """Simulates the robot, one tick after the other, in lockstep or in real time."""
+
+    def __init__(self) -> None:
+        """Subscribe torque and disturbance, publish the measurement."""
+        super().__init__("plant")
+        self.mode: str = self.setting("mode")
+        self.recorder_window: int = self.setting("recorder_window")
+        self._publish = self.plane.publisher(JOINT_STATES)
+        self._publish_clock = self.plane.publisher(CLOCK)
+        self._publish_scenario = self.plane.publisher(SCENARIO)
+        self._inputs: dict[Topic, dict[str, Any]] = {}
+        for topic in (TORQUES, DISTURBANCE):
+            self._inputs[topic] = {}
+            self.plane.subscribe(topic, self._handler(topic))
+        self.plane.subscribe(RECORDED, self._on_recorded)
+        self._recorded_ns = -1
+        self.times = ExecutionTimes()
+        self.state = "waiting"
+        self.detail = ""
+        self._began = time.monotonic()
+        self.elapsed = 0.0
+        self.configure()
+
+    def _handler(self, topic: Topic) -> Any:
+        latest = self._inputs[topic]
+
+        def handle(data: bytes, received_ns: int) -> None:
+            sample = self.decode(topic, data)
+            if sample is None:
+                return
+            if len(sample.effort) != self.scenario.robot.joints:
+                self.refuse(topic, "effort is empty; expected one torque per joint")
+            elif self.active and latest["time_ns"] < sample.time_ns <= self.time_ns:
+                latest["time_ns"], latest["value"] = sample.time_ns, sample.effort
+                if sample.time_ns == self.time_ns:
+                    self._on_input()
+
+        return handle
+
+    def _on_recorded(self, data: bytes, received_ns: int) -> None:
+        stamp = deserialize_message(data, Time)
+        self._recorded_ns = stamp.sec * NANOSECONDS + stamp.nanosec
+
+    def configure(self) -> None:
+        """The robot at its initial state."""
+        self.stage = self.scenario.plant_stage()
+        self.misses = Misses()
+        self.pacer = PACERS[self.mode](self.scenario.dt_ns, misses=self.misses)
+        self.tick = 0
+        self.time_ns = 0
+        self._recorded_ns = -1
+        for latest in self._inputs.values():
+            latest.update(time_ns=-1, value=(0.0,) * self.scenario.robot.joints)
+        self.latencies = array("q")
+        self.lateness = array("q")
+        self._answered = False
+        self._integrated = False
+        self._published_at = 0
+        self.asked_again = 0
+
+    def activate(self) -> None:
+        """Begin at tick 0."""
+        self.configure()
+        self.state, self.detail = "running", ""
+        self._publish_scenario(String(data=self.scenario.to_yaml()))
+        self._began = time.monotonic()
+        self.elapsed = 0.0
+        self._publish_measurement()
+        self.pacer.begin()
+
+    def deactivate(self) -> None:
+        """End the run where it is."""
+        if self.state == "running":
+            self.state, self.detail = "incomplete", f"stopped at t = {seconds(self.time_ns):g} s"
+
+    def step(self) -> None:
+        """One round: wait for the end of the tick, go on to the next."""
+        if not self.active:
+            self.plane.poll(POLL_NS)
+        elif self.pacer.wait(self._ready, self.plane.poll):
+            self._end_of_tick()
+        elif time.monotonic_ns() - self._published_at > ASK_AGAIN_NS and not self._answered:
+            self.asked_again += 1
+            self._publish_measurement()
+
+    def _ready(self) -> bool:
+        if self._recorder_behind():
+            return False
+        return self._answered
+
+    def _recorder_behind(self) -> bool:
+        window = self.recorder_window * self.scenario.dt_ns
+        return 0 < window < self.time_ns - self._recorded_ns and self.mode == "lockstep"
+
+    def _on_input(self) -> None:
+        """An input of this tick has come: with both, integrate at once, ahead of the deadline."""
+        torque, disturbance = (self._inputs[t]["time_ns"] == self.time_ns for t in (TORQUES, DISTURBANCE))
+        if torque and disturbance and not self._answered:
+            self._answered = True
+            self.latencies.append(time.monotonic_ns() - self._published_at)
+            self._integrate()
+
+    def _integrate(self) -> None:
+        if self.tick < self.scenario.last_tick:
+            begin = time.monotonic_ns()
+            u, d = (self._inputs[t]["value"] for t in (TORQUES, DISTURBANCE))
+            self.stage.step(u, TrueDisturbance(d))
+            self.times.add(time.monotonic_ns() - begin)
+
+    def _end_of_tick(self) -> None:
+        if not self._answered:  # real time only: hold the newest torque and disturbance
+            if self._missed(TORQUES):  # the disturbance follows from the torque: one cause, not two
+                self.misses.late_torque += 1
+            elif self._missed(DISTURBANCE):
+                self.misses.late_disturbance += 1
+            self._integrate()
+        self.ticks += 1
+        if self.stage.diverged:
+            self._finish(
+                "diverged", f"at t = {seconds(self.time_ns + self.scenario.dt_ns):g} s: {self.stage.diverged}"
+            )
+        elif self.tick == self.scenario.last_tick:
+            self._finish("completed", f"{seconds(self.time_ns):g} s")
+        else:
+            self.tick += 1
+            self.time_ns = self.tick * self.scenario.dt_ns
+            self._answered = False
+            self._publish_measurement()
+
+    def _missed(self, topic: Topic) -> bool:
+        return self._inputs[topic]["time_ns"] < self.time_ns and self.plane.has_publisher(topic)
+
+    def _publish_measurement(self) -> None:
+        self._published_at = time.monotonic_ns()
+        if isinstance(self.pacer, RealTime) and self.tick:
+            self.lateness.append(self._published_at - self.pacer.deadline + self.scenario.dt_ns)
+        self._publish(self.codec.state.encode(self.time_ns, *self.stage.measure()))
+        if self.time_ns % CLOCK_PERIOD_NS == 0:
+            sec, nanosec = divmod(self.time_ns, NANOSECONDS)
+            self._publish_clock(
+                b"\x00\x01\x00\x00" + sec.to_bytes(4, "little") + nanosec.to_bytes(4, "little")
+            )
+
+    def _finish(self, state: str, detail: str) -> None:
+        self.state, self.detail = state, detail
+        self.elapsed = time.monotonic() - self._began
+        self.get_logger().info(f"{state}: {detail}")
+        self.trigger_deactivate()
+
+    def health(self) -> tuple[str, str, dict[str, Any]]:
+        """State of the run, misses per cause, latency and jitter."""
+        times = self.times.take()
+        misses = self.misses
+        level = "ok"
+        if misses.total and self.ticks:
+            level = "error" if misses.total > 0.01 * self.ticks else "warn"
+        if self.state == "diverged":
+            level = "error"
+        message = f"{self.state}: {self.detail}" if self.detail else self.state
+        return level, message, {
+            "state": self.state,
+            "detail": self.detail,
+            "mode": self.mode,
+            "tick": self.tick,
+            "last_tick": self.scenario.last_tick,
+            "elapsed_seconds": round(self.elapsed or time.monotonic() - self._began, 3),
+            "missed_deadlines": misses.total,
+            "late_torque": misses.late_torque,
+            "late_disturbance": misses.late_disturbance,
+            "plant_overrun": misses.plant_overrun,
+            "asked_again": self.asked_again,
+            **percentiles("latency", self._samples(self.latencies)),
+            **percentiles("jitter", self._samples(self.lateness)),
+            **times,
+        }  # fmt: skip
+
+    def _samples(self, samples: Sequence[int]) -> Sequence[int]:
+        """While running, the last second only: sorting a whole run would hold up the tick."""
+        return samples[-round(1.0 / self.scenario.dt) :] if self.active else samples
+
+
+def percentiles(name: str, samples: Sequence[int]) -> dict[str, float]:
+    """Return p50, p99, p99.9 and the largest of samples in ns, as µs; nothing without samples."""
+    if not samples:
+        return {}
+    ordered = sorted(samples)
+    found = {
+        f"{name}_{label}_us": round(ordered[min(len(ordered) - 1, int(share * len(ordered)))] / 1000, 1)
+        for label, share in (("p50", 0.5), ("p99", 0.99), ("p999", 0.999))
+    }
+    return {**found, f"{name}_max_us": round(ordered[-1] / 1000, 1)}
+
+
+def main() -> None:
+    """Entry point of ``ros2 run ftcm_ros plant``."""
+    sys.exit(run(PlantNode))
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,115 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The recorder node: every topic of the suite into a rosbag2 bag."""
+
+from __future__ import annotations
+
+import sys
+import time
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+from builtin_interfaces.msg import Time
+
+from ftcm_core.signals import NANOSECONDS
+from ftcm_ros.nodes.base import POLL_NS, SuiteNode, run
+from ftcm_ros.recording import Recording
+from ftcm_ros.topics import RECORD, RECORDED, Topic
+
+ACKNOWLEDGE_TICKS = 100
+"""How often the recorder says how far it is."""
+FLUSH_SECONDS = 0.5
+QUIET_SECONDS = 0.5
+"""At the end of a run, how long nothing may come before the bag is closed incomplete."""
+
+
+class RecorderNode(SuiteNode):
+    """Writes what it receives, as received, and knows what is missing."""
+
+    def __init__(self) -> None:
+        """Subscribe everything."""
+        super().__init__("recorder")
+        self._path = Path(self.setting("bag") or time.strftime("ftcm-%Y%m%d-%H%M%S"))
+        self._storage: str = self.setting("storage")
+        self.recording: Recording | None = None
+        self._summary: dict[str, Any] = {}
+        self._acknowledge = self.plane.publisher(RECORDED)
+        self._acknowledged = -1
+        self._last_message = 0.0
+        self._flushed = 0.0
+        for topic in RECORD:
+            self.plane.subscribe(topic, self._handler(topic))
+
+    def _handler(self, topic: Topic) -> Callable[[bytes, int], None]:
+        def handle(data: bytes, received_ns: int) -> None:
+            recording = self.recording
+            if recording is not None:
+                recording.write(topic, received_ns, data)
+                self._last_message = time.monotonic()
+
+        return handle
+
+    def activate(self) -> None:
+        """Make the bag."""
+        self.recording = Recording(self._path, self._storage, self.scenario)
+        self._acknowledged = -1
+        self.get_logger().info(f"recording to {self._path}")
+
+    def deactivate(self) -> None:
+        """Take in what is still under way, then close the bag."""
+        recording = self.recording
+        if recording is None:
+            return
+        last = self.scenario.last_tick * self.scenario.dt_ns
+        self._last_message = time.monotonic()
+        while recording.complete_to != last and time.monotonic() - self._last_message < QUIET_SECONDS:
+            self.plane.poll(POLL_NS)
+        self.plane.poll(0)
+        self.recording = None
+        recording.close()
+        self._summary = recording.summary()
+        missing = {name: c["missing"] for name, c in self._summary.items() if c["missing"]}
+        if missing:
+            self.get_logger().warning(f"ticks missing in the bag: {missing}")
+        self.get_logger().info(f"closed {self._path}: {recording.counts['joint_states'].messages} ticks")
+
+    def step(self) -> None:
+        """Take messages in, say how far the recording is, flush now and then."""
+        self.plane.poll(POLL_NS)
+        recording = self.recording
+        if recording is None:
+            return
+        done = recording.complete_to
+        if done is not None:
+            self.ticks = done // self.scenario.dt_ns + 1
+            if self.ticks - self._acknowledged >= ACKNOWLEDGE_TICKS:
+                self._acknowledged = self.ticks
+                sec, nanosec = divmod(done, NANOSECONDS)
+                self._acknowledge(Time(sec=sec, nanosec=nanosec))
+        now = time.monotonic()
+        if now - self._flushed > FLUSH_SECONDS:
+            self._flushed = now
+            recording.flush()
+
+    def health(self) -> tuple[str, str, dict[str, Any]]:
+        """What is recorded and what is missing."""
+        recording = self.recording
+        summary = recording.summary() if recording else self._summary
+        missing = sum(c["missing"] or 0 for c in summary.values())
+        level = "error" if missing else "ok"
+        message = "recording" if recording else "closed" if summary else "idle"
+        values = {f"{topic}_{key}": v for topic, c in summary.items() for key, v in c.items()}
+        return (
+            level,
+            f"{message}, {missing} ticks missing" if missing else message,
+            {"bag": str(self._path), **values},
+        )
+
+
+def main() -> None:
+    """Entry point of ``ros2 run ftcm_ros recorder``."""
+    sys.exit(run(RecorderNode))
+
+
+if __name__ == "__main__":
+    main()

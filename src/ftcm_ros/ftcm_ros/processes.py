@@ -1,0 +1,104 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The suite's node processes: started together, watched, stopped together."""
+
+from __future__ import annotations
+
+import ctypes
+import os
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import yaml
+
+from ftcm_core.errors import FtcmError
+
+PARENT_VARIABLE = "FTCM_PARENT_PID"
+"""Tells a node whose child it is; it ends when that process ends."""
+STOP_SECONDS = 5.0
+_PR_SET_PDEATHSIG = 1
+
+
+def end_with_parent() -> None:
+    """In a node started by an experiment: get SIGTERM when that process ends, however it ends."""
+    parent = os.environ.get(PARENT_VARIABLE)
+    if parent is not None:
+        ctypes.CDLL(None).prctl(_PR_SET_PDEATHSIG, signal.SIGTERM)
+        if os.getppid() != int(parent):  # it ended before the request took effect
+            os.kill(os.getpid(), signal.SIGTERM)
+
+
+class NodeProcesses:
+    """One process per node, each with its own log file."""
+
+    def __init__(self, folder: Path, environment: Mapping[str, str]) -> None:
+        """Keep logs and parameter files in a folder."""
+        self.folder = folder
+        self.environment = {
+            **os.environ,
+            **environment,
+            PARENT_VARIABLE: str(os.getpid()),
+            "PYTHONUNBUFFERED": "1",
+        }
+        self.processes: dict[str, subprocess.Popen[bytes]] = {}
+
+    def start(self, node: str, parameters: Mapping[str, Any]) -> None:
+        """Start a node with parameters."""
+        self.folder.mkdir(parents=True, exist_ok=True)
+        file = self.folder / f"{node}.yaml"
+        file.write_text(yaml.safe_dump({f"/{node}": {"ros__parameters": dict(parameters)}}), encoding="utf-8")
+        command = [sys.executable, "-m", f"ftcm_ros.nodes.{node}", "--ros-args", "--params-file", str(file)]
+        with (self.folder / f"{node}.log").open("wb") as log:
+            self.processes[node] = subprocess.Popen(
+                command, env=self.environment, stdin=subprocess.DEVNULL, stdout=log, stderr=subprocess.STDOUT,
+                start_new_session=True,
+            )  # fmt: skip
+
+    def check(self) -> None:
+        """Raise if a node has ended.
+
+        Raises:
+            FtcmError: names the node, how it ended, and the last lines it wrote.
+        """
+        for node, process in self.processes.items():
+            code = process.poll()
+            if code is not None:
+                raise FtcmError(f"node {node!r} {describe_exit(code)}; {self.last_words(node)}")
+
+    def last_words(self, node: str) -> str:
+        """Return the end of a node's output, in one line."""
+        log = self.folder / f"{node}.log"
+        lines = [line.strip() for line in log.read_text(errors="replace").splitlines() if line.strip()]
+        if not lines:
+            return f"it wrote nothing (log: {log})"
+        return f"its last words: {' | '.join(lines[-3:])} (log: {log})"
+
+    def pid(self, node: str) -> int:
+        """Process number of a node."""
+        return self.processes[node].pid
+
+    def stop(self) -> dict[str, int]:
+        """Stop all nodes: SIGINT, then SIGTERM, then SIGKILL; return their exit codes."""
+        for number in (signal.SIGINT, signal.SIGTERM, signal.SIGKILL):
+            running = [p for p in self.processes.values() if p.poll() is None]
+            for process in running:
+                process.send_signal(signal.SIGCONT)  # a stopped process cannot act on anything else
+                process.send_signal(number)
+            end = time.monotonic() + STOP_SECONDS
+            for process in running:
+                try:
+                    process.wait(max(0.01, end - time.monotonic()))
+                except subprocess.TimeoutExpired:
+                    continue
+        return {node: process.returncode for node, process in self.processes.items()}
+
+
+def describe_exit(code: int) -> str:
+    """Say how a process ended."""
+    if code < 0:
+        return f"was ended by {signal.Signals(-code).name}"
+    return f"ended with status {code}"

@@ -1,0 +1,77 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The nodes' own parameters (those of components come from their declarations), declared once."""
+
+from __future__ import annotations
+
+from typing import Any, NamedTuple
+
+from ftcm_core.errors import FtcmError, suggestion
+
+NODES = ("plant", "observer", "controller", "injector", "recorder")
+
+
+class Setting(NamedTuple):
+    """One read-only node parameter."""
+
+    name: str
+    default: Any
+    description: str
+    choices: tuple[str, ...] = ()
+
+    def check(self, value: Any) -> Any:
+        """Return the value if it is one of the choices.
+
+        Raises:
+            FtcmError: it is not; the message suggests one.
+        """
+        if self.choices and value not in self.choices:
+            raise FtcmError(f"{self.name}: no {value!r}; {suggestion(str(value), self.choices)}")
+        return value
+
+
+_COMMON = (
+    Setting("scenario", "paper", "scenario file, or the name of a shipped scenario"),
+    Setting("autostart", True, "activate at start; false: wait for lifecycle transitions from outside"),
+    Setting(
+        "await_graph",
+        False,
+        "at activation, wait until every endpoint is matched with the suite's other nodes",
+    ),
+    Setting(
+        "data_path",
+        "waitset",
+        "how data messages are taken: a wait set of their own on the main thread, or the ordinary executor",
+        ("waitset", "executor"),
+    ),
+)
+
+SETTINGS: dict[str, tuple[Setting, ...]] = {
+    "plant": (
+        *_COMMON,
+        Setting(
+            "mode",
+            "real_time",
+            "lockstep: wait for every tick's inputs; real_time: one tick per dt on the steady clock",
+            ("lockstep", "real_time"),
+        ),
+        Setting(
+            "recorder_window",
+            0,
+            "lockstep: ticks the plant may run ahead of the recorder; 0: it waits for none",
+        ),
+    ),
+    "observer": _COMMON,
+    "controller": _COMMON,
+    "injector": _COMMON,
+    "recorder": (
+        *_COMMON,
+        Setting("bag", "", "folder of the bag to make, which must not exist; empty: ftcm-DATE-TIME"),
+        Setting("storage", "mcap", "storage of the bag", ("mcap", "sqlite3")),
+    ),
+}
+"""Parameters of each node."""
+
+
+def setting(node: str, name: str) -> Setting:
+    """Return one declared parameter of a node."""
+    return next(s for s in SETTINGS[node] if s.name == name)

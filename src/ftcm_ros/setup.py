@@ -1,0 +1,29 @@
+# SPDX-License-Identifier: Apache-2.0
+from setuptools import find_packages, setup
+
+NODES = ("plant", "injector", "observer", "controller", "recorder")
+
+setup(
+    name="ftcm_ros",
+    version="0.1.0",
+    description="Fault-tolerant control of manipulators as ROS 2 nodes",
+    maintainer="FTCM maintainers",
+    maintainer_email="ftcm-maintainers@example.org",
+    license="Apache-2.0",
+    packages=find_packages(include=["ftcm_ros", "ftcm_ros.*"]),
+    data_files=[
+        ("share/ament_index/resource_index/packages", ["resource/ftcm_ros"]),
+        ("share/ftcm_ros", ["package.xml"]),
+    ],
+    zip_safe=False,
+    python_requires=">=3.10",
+    # rclpy and the message packages come with ROS, not from here.
+    install_requires=["ftcm_core==0.1.0", "rosbags>=0.11.9,<0.12"],
+    entry_points={
+        "console_scripts": [
+            *(f"{node} = ftcm_ros.nodes.{node}:main" for node in NODES),
+            "experiment = ftcm_ros.experiment:main",
+            "analyse = ftcm_ros.analyse:main",
+        ]
+    },
+)

@@ -1,0 +1,22 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What all tests share."""
+
+import os
+import platform
+from importlib import metadata
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).resolve().parents[1]
+
+
+def pytest_report_header():
+    ros = f"sourced ROS 2 {os.environ['ROS_DISTRO']}" if "ROS_DISTRO" in os.environ else "ROS 2 from wheels"
+    return f"Python {platform.python_version()}, numpy {metadata.version('numpy')}, {ros}"
+
+
+@pytest.fixture(scope="session")
+def root():
+    """Return the workspace: the folder with src/, config/ and test/."""
+    return ROOT

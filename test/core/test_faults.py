@@ -1,0 +1,108 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Disturbances and faults: eqs 4, 43 and 47 at points worked out by hand, and which torque they see."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+
+from ftcm_core.faults import time_profile
+from ftcm_core.faults.vo_kang_fault import VoKangFault
+from ftcm_core.faults.vo_kang_friction import VoKangFriction
+from ftcm_core.scenario import load
+from ftcm_core.signals import TrueDisturbance, Vector
+from ftcm_core.simulation import simulate
+from ftcm_core.stages import InjectorStage
+
+ZERO = (0.0, 0.0, 0.0)
+PI = math.pi
+
+
+@pytest.mark.parametrize(
+    ("t", "q", "v", "torque"),
+    [
+        (2.0, (1.0, 2.0, -1.0), (9.0, 9.0, 9.0), (-1.2, -8.8, 1.3)),
+        (2.0 + PI / 2, ZERO, (1.0, -1.0, 1.0), (-1.5, 1.3, -2.5)),
+        (2.0 + PI / 2, (1.0, 2.0, -1.0), (1.0, 1.0, 3.0), (-2.7, -10.1, 3.8)),
+        (0.0, ZERO, (PI / 4, 0.0, PI / 12), (1.5, 0.0, 1.25)),
+    ],
+)
+def test_friction_and_disturbance(t: float, q: Vector, v: Vector, torque: Vector) -> None:
+    """Eq 43 acts against the torque: -(a sin((t-2) v) + b q³)."""
+    assert VoKangFriction().torque(t, q, v, (7.0, 7.0, 7.0)) == pytest.approx(torque, rel=1e-14, abs=1e-14)
+
+
+def test_friction_takes_per_joint_and_single_gains() -> None:
+    """Eq 43 with other amplitudes."""
+    friction = VoKangFriction(a=0.0, b=[1, 2, 3])
+    assert friction.torque(5.0, (1.0, 1.0, 2.0), (1.0, 1.0, 1.0), ZERO) == (-1.0, -2.0, -24.0)
+
+
+@pytest.mark.parametrize(
+    ("t", "q", "v", "u", "omega"),
+    [
+        # sin(q1 q2) = 1/2, cos(v1 q2) = 1/2, cos(v1 v2) = -1; sin(t) = 1; sin(q3 q1) = -1/2
+        (4.5 * PI, (PI / 6, 1.0, -1.0), (PI / 3, 3.0, 0.0), (1.0, 10.0, 1.0),
+         (12.5 + 0.75 - 2.5, 3.0, -7.5 + 1.2 * math.cos(3.0) + 2.5)),
+        # cos(v1 ·) = 1; sin(t) = -1; sin(q3 q1) = 1, cos(v2 q2) = 1/2, cos(v2 v3) = -1
+        (5.5 * PI, (PI / 2, 1 / 3, 1.0), (0.0, PI, 1.0), (0.0, 20.0, 0.0),
+         (12.5 + 4.0, -6.0, 15.0 + 0.6 - 2.5)),
+        (4.0 * PI, ZERO, ZERO, (50.0, 50.0, 50.0), (4.0, 0.0, 3.7)),
+    ],
+)  # fmt: skip
+def test_fault_torque(t: float, q: Vector, v: Vector, u: Vector, omega: Vector) -> None:
+    """Eq 47, abrupt at 10 s; on joint 2 it is a share of the torque applied there."""
+    assert VoKangFault().torque(t, q, v, u) == pytest.approx(omega, rel=1e-13, abs=1e-13)
+
+
+@pytest.mark.parametrize(
+    ("t", "profile", "rate", "psi"),
+    [
+        (9.0, "abrupt", 1.0, 0.0),
+        (10.0, "abrupt", 1.0, 0.0),
+        (math.nextafter(10.0, 11.0), "abrupt", 1e-9, 1.0),
+        (10.0, "incipient", 1e9, 0.0),
+        (10.0 + math.log(2.0), "incipient", 1.0, 0.5),
+        (10.0 + math.log(4.0) / 5.0, "incipient", 5.0, 0.75),
+        (1e9, "incipient", 1e300, 1.0),
+    ],
+)
+def test_time_profile(t: float, profile: str, rate: float, psi: float) -> None:
+    """Eq 4: nothing at t = T_f itself; then 1, or 1 - e^(-ν(t-T_f))."""
+    assert time_profile(t, 10.0, profile, rate) == pytest.approx(psi, rel=1e-14, abs=0.0)
+
+
+def test_profile_and_severity_scale_the_whole_fault() -> None:
+    """ψ times severity times eq 47."""
+    state = (12.0, (0.3, -0.4, 0.7), (0.5, -0.6, 0.8), (10.0, 20.0, 30.0))
+    whole = np.array(VoKangFault().torque(*state))
+    assert np.abs(whole).min() > 0.5
+    part = VoKangFault(profile="incipient", rate=math.log(2.0) / 2.0, severity=3.0).torque(*state)
+    assert part == pytest.approx(1.5 * whole, rel=1e-14)
+
+
+def test_injector_adds_all_sources_for_the_torque_the_drive_applies() -> None:
+    """A fault that takes a share of the torque takes it of the limited one."""
+    t_ns, q, v, u = 14_137_166_941, (0.3, -0.4, 0.7), (0.5, -0.6, 0.8), (1.0, 1000.0, 2.0)
+    sources = (VoKangFriction(), VoKangFault(), VoKangFault(severity=2.0))
+    free, limited = (InjectorStage(sources, 3, x).step(t_ns, q, v, u) for x in (None, (50.0, 50.0, 50.0)))
+    share = 3 * 0.3 * math.sin(t_ns / 1e9)
+    assert isinstance(free, TrueDisturbance)
+    assert free.torque[1] - limited.torque[1] == pytest.approx(share * 950.0, rel=1e-13)
+    assert (free.torque[0], free.torque[2]) == (limited.torque[0], limited.torque[2])
+    alone = [s.torque(t_ns / 1e9, q, v, u) for s in sources]
+    assert free.torque == pytest.approx(np.sum(alone, axis=0), rel=1e-15)
+    assert InjectorStage((), 3, None).step(t_ns, q, v, u) == TrueDisturbance(ZERO)
+
+
+def test_fault_begins_the_tick_after_its_onset() -> None:
+    """In a run: at t = T_f the disturbance is that of a run without fault, one tick later it is not."""
+    overrides = ["duration=0.2", "injection.disturbances=[]"]
+    trace = simulate(load("paper", [*overrides, "injection.faults.0.start=0.1"]))
+    assert not trace.disturbance[:101].any()
+    assert (np.abs(trace.disturbance[101]) > 0.5).all()
+    healthy = simulate(load("paper", [*overrides, "injection.faults=[]"]))
+    assert np.array_equal(trace.command[:102], healthy.command[:102])
+    assert not np.array_equal(trace.command[102], healthy.command[102])

@@ -1,0 +1,111 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The registry: a component is registered once, found by name, and validated at registration."""
+
+from __future__ import annotations
+
+import pkgutil
+from importlib import import_module
+
+import pytest
+
+from ftcm_core import registry
+from ftcm_core.controllers.smc import SMC
+from ftcm_core.errors import FtcmError
+from ftcm_core.params import param
+from ftcm_core.registry import KINDS, Component, components, find, register
+
+
+@pytest.fixture(autouse=True)
+def _restore(monkeypatch: pytest.MonkeyPatch) -> None:
+    """What a test registers is gone after it."""
+    for kind in KINDS:
+        monkeypatch.setitem(registry._components, kind, components(kind))
+
+
+def test_every_module_of_a_component_package_registers_one() -> None:
+    """One file per component; helpers say so by having no component."""
+    helpers = {"super_twisting", "terminal_surface"}
+    for package in set(KINDS.values()):
+        modules = {m.name for m in pkgutil.iter_modules(import_module(package).__path__)} - helpers
+        homes = [
+            cls.__module__
+            for kind, home in KINDS.items()
+            if home == package
+            for cls in components(kind).values()
+        ]
+        assert sorted(homes) == sorted(f"{package}.{m}" for m in modules)
+
+
+def test_components_are_sorted_and_found() -> None:
+    """By name; the type name is the module's name, so that a reader finds the file."""
+    for kind in KINDS:
+        found = components(kind)
+        assert found, kind
+        assert list(found) == sorted(found)
+        for name, cls in found.items():
+            assert find(kind, name) is cls
+            assert cls.__module__.rpartition(".")[2] == name
+    assert find("controller", "smc") is SMC
+
+
+@pytest.mark.parametrize(
+    ("kind", "name", "message"),
+    [
+        ("controller", "scm", "no controller 'scm'; did you mean 'smc'?"),
+        ("observer", "xyzzy", "no observer 'xyzzy'; known: do, none"),
+        ("fault", "vo_kang_friction", "no fault 'vo_kang_friction'; "),
+        ("contoller", "smc", "no component kind 'contoller'; did you mean 'controller'?"),
+    ],
+)
+def test_unknown_names_get_a_suggestion(kind: str, name: str, message: str) -> None:
+    """Kinds do not mix: a disturbance is no fault."""
+    with pytest.raises(FtcmError) as error:
+        find(kind, name)
+    assert message in str(error.value)
+
+
+def test_register_makes_a_frozen_record() -> None:
+    """The decorator does what each file would otherwise repeat."""
+
+    @register("observer", "made_up")
+    class MadeUp(Component):
+        """Made up."""
+
+        gain: float = param(1.0, unit="-", doc="gain", source="chosen")
+
+    assert find("observer", "made_up") is MadeUp
+    assert MadeUp(gain=2).to_mapping() == {"type": "made_up", "gain": 2.0}
+    assert MadeUp(gain=2) == MadeUp(gain=2.0)
+    assert "made_up" not in components("controller")
+
+
+def test_register_refuses_a_taken_name() -> None:
+    """The message names both classes; the first stays."""
+    with pytest.raises(FtcmError, match=r"controller 'smc' is registered twice: .*SMC.*Other"):
+
+        @register("controller", "smc")
+        class Other(Component):
+            """Another."""
+
+    assert find("controller", "smc") is SMC
+
+
+def test_register_refuses_an_undeclared_field() -> None:
+    """Every field carries unit, documentation and source."""
+    with pytest.raises(FtcmError, match=r"observer 'vague': fields without param\(\.\.\.\): \['gain'\]"):
+
+        @register("observer", "vague")
+        class Vague(Component):
+            """Vague."""
+
+            gain: float = 1.0
+
+    assert "vague" not in components("observer")
+
+
+def test_register_refuses_an_unknown_kind() -> None:
+    """With a suggestion."""
+    with pytest.raises(FtcmError, match=r"no component kind 'observr'; did you mean 'observer'"):
+        register("observr", "x")
+    with pytest.raises(FtcmError, match=r"no component kind 'observr'"):
+        components("observr")

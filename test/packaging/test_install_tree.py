@@ -1,0 +1,104 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What `colcon build` installs, seen from outside: by other processes, in another folder."""
+
+import importlib.metadata
+import json
+import os
+import re
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+EXECUTABLES = {"plant", "injector", "observer", "controller", "recorder", "experiment", "analyse"}
+
+
+def prefix_of(package):
+    """Find an installed package as `ros2 run` does: through the ament index."""
+    for prefix in os.environ.get("AMENT_PREFIX_PATH", "").split(os.pathsep):
+        if prefix and Path(prefix, "share/ament_index/resource_index/packages", package).is_file():
+            return Path(prefix)
+    pytest.skip(f"{package} is not in AMENT_PREFIX_PATH: make build, then source install/setup.bash")
+
+
+def run_installed(code, cwd):
+    """Run Python code that sees the installed packages only; return what it prints as JSON."""
+    done = subprocess.run(
+        [sys.executable, "-c", code], cwd=cwd, capture_output=True, text=True, timeout=60, check=False
+    )
+    assert done.returncode == 0, done.stderr
+    return json.loads(done.stdout)
+
+
+@pytest.mark.parametrize("package", ["ftcm_core", "ftcm_ros"])
+def test_package_is_in_the_ament_index_with_its_manifest(package):
+    prefix = prefix_of(package)
+    assert (prefix / "share" / package / "package.xml").is_file()
+
+
+def test_ros2_run_finds_every_executable():
+    folder = prefix_of("ftcm_ros") / "lib" / "ftcm_ros"
+    found = {path.name for path in folder.iterdir() if path.is_file() and os.access(path, os.X_OK)}
+    assert found == EXECUTABLES
+
+
+def test_ftcm_is_a_command_once_the_workspace_is_sourced(tmp_path):
+    prefix = prefix_of("ftcm_core")
+    local = prefix.parent / "setup.bash"
+    found = subprocess.run(
+        ["bash", "-c", f". '{local}'; command -v ftcm"],
+        cwd=tmp_path,
+        env={"PATH": "/usr/bin:/bin"},
+        capture_output=True,
+        text=True,
+        timeout=60,
+        check=True,
+    )
+    assert Path(found.stdout.strip()) == prefix / "bin" / "ftcm"
+
+
+def test_config_files_are_installed_as_they_are_in_the_workspace(root, tmp_path):
+    prefix_of("ftcm_core")
+    code = """
+import importlib.resources, json, pathlib
+config = importlib.resources.files("ftcm_core") / "config"
+with importlib.resources.as_file(config) as folder:
+    files = {str(p.relative_to(folder)): p.read_text("utf-8") for p in sorted(folder.rglob("*.yaml"))}
+print(json.dumps(files))
+"""
+    installed = run_installed(code, tmp_path)
+    config = root / "config"
+    assert installed == {str(p.relative_to(config)): p.read_text("utf-8") for p in config.rglob("*.yaml")}
+    assert "scenarios/paper.yaml" in installed
+
+
+def test_installed_core_tells_type_checkers_that_it_is_typed(tmp_path):
+    prefix_of("ftcm_core")
+    code = "import ftcm_core, json, os; print(json.dumps(os.listdir(os.path.dirname(ftcm_core.__file__))))"
+    assert "py.typed" in run_installed(code, tmp_path)
+
+
+@pytest.mark.ros
+@pytest.mark.parametrize("package", ["ftcm_core", "ftcm_ros"])
+def test_every_entry_point_loads(package, tmp_path):
+    prefix_of(package)
+    code = f"""
+import importlib.metadata, json
+points = importlib.metadata.distribution({package!r}).entry_points
+print(json.dumps([p.name for p in points if callable(p.load())]))
+"""
+    expected = {"ftcm"} if package == "ftcm_core" else EXECUTABLES
+    assert set(run_installed(code, tmp_path)) == expected
+
+
+@pytest.mark.parametrize("package", ["ftcm_core", "ftcm_ros"])
+def test_version_is_the_same_wherever_it_is_written(package, root):
+    import ftcm_core
+
+    folder = root / "src" / package
+    manifest = re.search(r"<version>(.*?)</version>", (folder / "package.xml").read_text("utf-8"))
+    setup = re.search(r'version="(.*?)"', (folder / "setup.py").read_text("utf-8"))
+    assert manifest[1] == setup[1] == ftcm_core.__version__
+    prefix_of(package)
+    assert importlib.metadata.version(package) == ftcm_core.__version__

@@ -1,0 +1,168 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Real ROS processes, each test in a ROS domain of its own; nothing is left behind."""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import sys
+import time
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+try:
+    import rclpy
+    from rcl_interfaces.msg import Parameter as ParameterMessage
+    from rcl_interfaces.srv import DescribeParameters, GetParameters, ListParameters, SetParameters
+    from rclpy.context import Context
+    from rclpy.executors import SingleThreadedExecutor
+    from rclpy.node import Node
+    from rclpy.parameter import Parameter
+except ImportError:  # the test modules skip themselves, with the reason
+    rclpy = None
+
+from ftcm_core.errors import FtcmError
+from ftcm_ros.domain import DOMAINS, Domain
+
+HANG_SECONDS = 120.0
+"""Generous ceiling that catches hangs."""
+
+
+@pytest.fixture
+def domain(monkeypatch: pytest.MonkeyPatch) -> int:
+    """A ROS domain that nobody else on this machine uses, set in the environment."""
+    held = Domain()
+    held.release()  # an experiment that is told this number takes it itself
+    monkeypatch.setenv("ROS_DOMAIN_ID", str(held.number))
+    monkeypatch.setenv("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
+    return held.number
+
+
+@pytest.fixture(scope="session", autouse=True)
+def _nothing_left_in_shared_memory() -> Iterator[None]:
+    """Killed nodes leave shared-memory files: remove those of every domain that is free."""
+    yield
+    for number in DOMAINS:
+        try:
+            Domain(number).release()
+        except FtcmError:
+            continue
+
+
+class Watcher:
+    """A node of the test's own in the same domain."""
+
+    def __init__(self, domain: int) -> None:
+        self.context = Context()
+        rclpy.init(context=self.context, domain_id=domain)
+        self.node = Node("watcher", context=self.context)
+        self.executor = SingleThreadedExecutor(context=self.context)
+        self.executor.add_node(self.node)
+
+    def spin_until(self, condition: Callable[[], Any], what: str, seconds: float = HANG_SECONDS) -> Any:
+        """Spin until a condition holds; fail the test if it does not in time."""
+        end = time.monotonic() + seconds
+        while time.monotonic() < end:
+            if found := condition():
+                return found
+            self.executor.spin_once(timeout_sec=0.05)
+        pytest.fail(f"{what}: not within {seconds:g} s")
+
+    def call(self, service_type: Any, name: str, request: Any) -> Any:
+        """Call a service and return its answer; asked again if the middleware drops an answer."""
+        client = self.node.create_client(service_type, name)
+        try:
+            self.spin_until(client.service_is_ready, f"service {name}")
+            for _ in range(5):
+                future = client.call_async(request)
+                end = time.monotonic() + 3.0
+                while not future.done() and time.monotonic() < end:
+                    self.executor.spin_once(timeout_sec=0.05)
+                if future.done():
+                    return future.result()
+            pytest.fail(f"service {name} did not answer")
+        finally:
+            self.node.destroy_client(client)
+
+    def set(self, node: str, **values: Any) -> list[tuple[bool, str]]:
+        """Set parameters (``__`` stands for a dot), as ``ros2 param set`` does; return results."""
+        parameters: list[ParameterMessage] = [
+            Parameter(name.replace("__", "."), value=value).to_parameter_msg()
+            for name, value in values.items()
+        ]
+        answer = self.call(
+            SetParameters, f"/{node}/set_parameters", SetParameters.Request(parameters=parameters)
+        )
+        return [(r.successful, r.reason) for r in answer.results]
+
+    def get(self, node: str, name: str) -> Any:
+        """Get one parameter's value."""
+        answer = self.call(GetParameters, f"/{node}/get_parameters", GetParameters.Request(names=[name]))
+        return rclpy.parameter.parameter_value_to_python(answer.values[0])
+
+    def describe(self, node: str, names: list[str]) -> list[Any]:
+        """Return parameter descriptors."""
+        request = DescribeParameters.Request(names=names)
+        return list(self.call(DescribeParameters, f"/{node}/describe_parameters", request).descriptors)
+
+    def list(self, node: str) -> list[str]:
+        """Return parameter names."""
+        return list(
+            self.call(ListParameters, f"/{node}/list_parameters", ListParameters.Request()).result.names
+        )
+
+    def close(self) -> None:
+        """Leave the domain."""
+        self.executor.shutdown()
+        self.node.destroy_node()
+        rclpy.shutdown(context=self.context)
+
+
+@pytest.fixture
+def watcher(domain: int) -> Iterator[Watcher]:
+    """A node of the test's own."""
+    made = Watcher(domain)
+    yield made
+    made.close()
+
+
+@pytest.fixture
+def start(tmp_path: Path) -> Iterator[Callable[..., subprocess.Popen[str]]]:
+    """Start commands of the suite; what still runs at the end of the test is stopped."""
+    started: list[subprocess.Popen[str]] = []
+
+    def run(module: str, *arguments: str) -> subprocess.Popen[str]:
+        process = subprocess.Popen(
+            [sys.executable, "-m", f"ftcm_ros.{module}", *arguments],
+            cwd=tmp_path, env=os.environ.copy(), text=True, stdin=subprocess.DEVNULL,
+            stdout=subprocess.PIPE, stderr=subprocess.PIPE,
+        )  # fmt: skip
+        started.append(process)
+        return process
+
+    yield run
+    for process in started:
+        if process.poll() is None:
+            process.terminate()
+            try:
+                process.communicate(timeout=15)
+            except subprocess.TimeoutExpired:
+                process.kill()
+                process.communicate()
+
+
+@pytest.fixture
+def experiment(
+    tmp_path: Path, start: Callable[..., subprocess.Popen[str]]
+) -> Callable[..., subprocess.CompletedProcess[str]]:
+    """Run ``experiment`` to its end in the test's folder."""
+
+    def run(*arguments: str) -> subprocess.CompletedProcess[str]:
+        process = start("experiment", *arguments, "--name", "test", "--no-figures")
+        out, err = process.communicate(timeout=HANG_SECONDS)
+        return subprocess.CompletedProcess(process.args, process.returncode, out, err)
+
+    return run

@@ -1,0 +1,263 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The experiment end to end: real node processes, real bags."""
+
+from __future__ import annotations
+
+import json
+import os
+import signal
+import subprocess
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+pytest.importorskip("rclpy", reason="ROS 2 (rclpy) is not installed")
+
+from diagnostic_msgs.msg import DiagnosticArray
+
+from ftcm_core.registry import components
+from ftcm_core.scenario import load
+from ftcm_core.simulation import simulate
+from ftcm_core.trace import COLUMNS, Trace
+from ftcm_ros.bag import BagContents, read_bag
+
+pytestmark = pytest.mark.ros
+
+Start = Callable[..., "subprocess.Popen[str]"]
+Experiment = Callable[..., "subprocess.CompletedProcess[str]"]
+
+
+def differing(a: Trace, b: Trace) -> list[str]:
+    """Columns that are not equal float for float."""
+    assert a.ticks == b.ticks
+    return [c for c in COLUMNS if not np.array_equal(getattr(a, c), getattr(b, c))]
+
+
+def bag_of(folder: Path, controller: str) -> BagContents:
+    return read_bag(folder / "runs" / "test" / "bags" / controller)
+
+
+def node_pids(parent: int) -> dict[str, int]:
+    """Process numbers of the nodes that an experiment has started."""
+    found = {}
+    for entry in Path("/proc").iterdir():
+        if entry.name.isdecimal():
+            try:
+                fields = (entry / "stat").read_text().rpartition(")")[2].split()
+                words = (entry / "cmdline").read_bytes().split(b"\0")
+            except OSError:
+                continue
+            module = next((w.decode() for w in words if w.startswith(b"ftcm_ros.nodes.")), "")
+            if module and int(fields[1]) == parent:
+                found[module.rpartition(".")[2]] = int(entry.name)
+    return found
+
+
+@pytest.mark.parametrize("controller", sorted(components("controller")))
+def test_lockstep_equals_the_in_process_run(experiment: Experiment, tmp_path: Path, controller: str) -> None:
+    overrides = ["duration=1.0", "injection.faults.0.start=0.5"]
+    run = experiment("paper", "--controllers", controller, *(a for o in overrides for a in ("--set", o)))
+    assert run.returncode == 0, run.stderr
+    bag = bag_of(tmp_path, controller)
+    assert bag.missing == {}
+    assert bag.trace.status == "completed"
+    assert bag.trace.ticks == 1001
+    assert differing(bag.trace, simulate(load("paper", overrides, controller=controller))) == []
+
+
+def test_the_ordinary_executor_and_sqlite3_give_the_same(experiment: Experiment, tmp_path: Path) -> None:
+    overrides = ["duration=0.4", "torque_limits=[97.6, 186.4, 89.4]"]
+    arguments = [a for o in overrides for a in ("--set", o)]
+    run = experiment(
+        "paper", "--controllers", "smc", "--data-path", "executor", "--storage", "sqlite3", *arguments
+    )
+    assert run.returncode == 0, run.stderr
+    bag = bag_of(tmp_path, "smc")
+    assert bag.missing == {}
+    assert differing(bag.trace, simulate(load("paper", overrides, controller="smc"))) == []
+
+
+@pytest.mark.slow
+def test_the_paper_experiment_over_the_graph(experiment: Experiment, tmp_path: Path) -> None:
+    run = experiment("paper", "--controllers", "ftcm")
+    assert run.returncode == 0, run.stderr
+    bag = bag_of(tmp_path, "ftcm")
+    assert bag.missing == {}
+    assert bag.trace.ticks == 40_001
+    assert differing(bag.trace, simulate(load("paper"))) == []
+    summary = json.loads((tmp_path / "runs" / "test" / "summary.json").read_text())
+    (result,) = summary["results"]
+    assert result["status"] == "completed"
+    assert result["metrics"]["whole"]["mean_abs_error"] == pytest.approx(
+        [0.002608, 0.002609, 0.002604], rel=1e-3
+    )
+    assert {"results", "provenance", "timing", "mode"} <= set(summary)
+    assert "Table 2" in (tmp_path / "runs" / "test" / "table.md").read_text()
+
+
+def test_real_time_counts_every_miss_and_holds_the_torque(experiment: Experiment, tmp_path: Path) -> None:
+    run = experiment("paper", "--controllers", "ftcm", "--mode", "real_time", "--set", "duration=3")
+    assert run.returncode == 0, run.stderr
+    bag = bag_of(tmp_path, "ftcm")
+    plant = bag.nodes["plant"]
+    assert plant["state"] == "completed"
+    trace = bag.trace
+    assert trace.ticks == 3001
+    # The effort reported at tick k+1 is the command of tick k, or one that was held.
+    commands = trace.command.tolist()
+    held = 0
+    for k, applied in enumerate(trace.effort[1:].tolist()):
+        if applied != commands[k]:
+            held += 1
+            assert applied == [0.0, 0.0, 0.0] or applied in commands[:k]
+    misses = {cause: int(plant[cause]) for cause in ("late_torque", "late_disturbance", "plant_overrun")}
+    assert held <= misses["late_torque"], misses
+    assert int(plant["missed_deadlines"]) == sum(misses.values())
+    if not any(misses.values()):
+        assert differing(trace, simulate(load("paper", ["duration=3"]))) == []
+
+
+@pytest.mark.parametrize("mode", ["lockstep", "real_time"])
+def test_the_controller_is_swapped_while_running(
+    start: Start, watcher: Any, tmp_path: Path, domain: int, mode: str
+) -> None:
+    overrides = [f"duration={20 if mode == 'lockstep' else 8}", "injection.faults.0.start=2"]
+    arguments = [a for o in overrides for a in ("--set", o)]
+    process = start(
+        "experiment", "paper", "--mode", mode, "--controllers", "ftcm", "--name", "test", "--no-figures",
+        "--domain-id", str(domain), *arguments,
+    )  # fmt: skip
+    seen: list[int] = []
+
+    def on_diagnostics(message: DiagnosticArray) -> None:
+        for status in message.status:
+            if status.name == "plant: tick":
+                seen.append(int(next(v.value for v in status.values if v.key == "tick")))
+
+    watcher.node.create_subscription(DiagnosticArray, "/diagnostics", on_diagnostics, 10)
+    watcher.spin_until(lambda: seen and seen[-1] > 0, "first tick")
+    assert watcher.set("controller", controller="scm") == [
+        (False, "no controller 'scm'; did you mean 'smc'?")
+    ]
+    ((refused, reason),) = watcher.set("controller", smc__c=-1.0)
+    assert not refused
+    assert "smc.c: -1 is out of range" in reason
+    assert watcher.get("controller", "smc.c") == 2.0
+    assert watcher.set("controller", controller="smc") == [(True, "")]
+    assert watcher.set("controller", smc__c=3) == [(True, "")]
+    assert watcher.set("observer", do__k1=15000.0) == [(True, "")]
+    out, err = process.communicate(timeout=120)
+    assert process.returncode == 0, err
+    bag = bag_of(tmp_path, "ftcm")
+    kinds = [(c.kind, c.component.type_name) for c in bag.trace.changes]
+    assert sorted(kinds) == [("controller", "smc"), ("controller", "smc"), ("observer", "do")], out
+    assert bag.trace.changes[0].tick > 0
+    assert bag.trace.scenario is not None
+    assert bag.trace.scenario.controller.type_name == "ftcm"
+    if mode == "lockstep":
+        again = simulate(load("paper", overrides), bag.trace.changes)
+        assert differing(bag.trace, again) == []
+
+
+def run_until_ticks(process: subprocess.Popen[str]) -> None:
+    """Wait until an experiment reports progress."""
+    assert process.stderr is not None
+    for line in process.stderr:
+        if "ticks/s" in line:
+            return
+    pytest.fail("the experiment ended before its first progress line")
+
+
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+def test_stopping_keeps_what_was_recorded(start: Start, tmp_path: Path, number: signal.Signals) -> None:
+    process = start("experiment", "paper", "--controllers", "smc", "ftcm", "--name", "test", "--no-figures")
+    run_until_ticks(process)
+    pids = node_pids(process.pid)
+    assert set(pids) == {"plant", "observer", "controller", "injector", "recorder"}
+    process.send_signal(number)
+    _, err = process.communicate(timeout=60)
+    assert process.returncode == 130
+    assert "stopped by the user" in err
+    bag = bag_of(tmp_path, "smc")
+    assert bag.trace.status == "incomplete"
+    assert bag.trace.ticks > 1000
+    assert not [p for p in pids.values() if Path(f"/proc/{p}").exists()]
+    again = simulate(load("paper", controller="smc"))
+    assert np.array_equal(bag.trace.position, again.position[: bag.trace.ticks])
+    assert (tmp_path / "runs" / "test" / "summary.json").is_file()
+
+
+@pytest.mark.parametrize("victim", ["plant", "observer", "controller", "injector", "recorder"])
+def test_a_node_that_dies_ends_the_run_and_is_named(start: Start, tmp_path: Path, victim: str) -> None:
+    process = start("experiment", "paper", "--controllers", "ftcm", "--name", "test", "--no-figures")
+    run_until_ticks(process)
+    pids = node_pids(process.pid)
+    os.kill(pids[victim], signal.SIGKILL)
+    _, err = process.communicate(timeout=60)
+    assert process.returncode == 1
+    assert f"node {victim!r} was ended by SIGKILL" in err.splitlines()[-1]
+    assert "Traceback" not in err
+    assert not [p for p in pids.values() if Path(f"/proc/{p}").exists()]
+    if victim != "recorder":
+        assert bag_of(tmp_path, "ftcm").trace.ticks > 1000
+
+
+def test_the_nodes_end_with_an_experiment_that_is_killed(start: Start) -> None:
+    process = start("experiment", "paper", "--controllers", "ftcm", "--name", "test", "--no-figures")
+    run_until_ticks(process)
+    pids = node_pids(process.pid)
+    process.kill()
+    process.communicate(timeout=30)
+    for pid in pids.values():
+        for _ in range(300):
+            if not Path(f"/proc/{pid}").exists():
+                break
+            signal.sigtimedwait([signal.SIGUSR2], 0.1)
+        else:
+            pytest.fail(f"node {pid} outlived its experiment")
+
+
+def test_a_run_that_diverges_is_a_result(experiment: Experiment, tmp_path: Path) -> None:
+    overrides = ["duration=2", "dt=0.02"]
+    arguments = [a for o in overrides for a in ("--set", o)]
+    run = experiment("paper", "--controllers", "ftcm", "ctc", *arguments)
+    expected = simulate(load("paper", overrides))
+    assert expected.status == "diverged"
+    assert "Traceback" not in run.stderr
+    bag = bag_of(tmp_path, "ftcm")
+    assert bag.trace.status == "diverged"
+    assert bag.trace.detail == expected.detail
+    assert differing(bag.trace, expected) == []
+    assert bag_of(tmp_path, "ctc").trace.status == "completed"
+
+
+@pytest.mark.parametrize(
+    ("arguments", "text"),
+    [
+        (["papr"], "did you mean 'paper'?"),
+        (["paper", "--controllers", "scm"], "did you mean 'smc'?"),
+        (["paper", "--controllers", "smc", "smc"], "each may be named once"),
+        (["paper", "--set", "observer.k1=-1"], "observer.k1: -1 is out of range"),
+        (["paper", "--set", "observer.type=none", "--controllers", "ftcm"], "uses the disturbance estimate"),
+        (["paper", "--domain-id", "999"], "domain 999 is out of range"),
+    ],
+)
+def test_mistakes_are_one_line(
+    experiment: Experiment, tmp_path: Path, arguments: list[str], text: str
+) -> None:
+    run = experiment(*arguments)
+    assert run.returncode == 2
+    assert run.stdout == ""
+    assert len(run.stderr.strip().splitlines()) == 1, run.stderr
+    assert text in run.stderr
+
+
+def test_an_existing_run_is_not_touched(experiment: Experiment, tmp_path: Path) -> None:
+    (tmp_path / "runs" / "test").mkdir(parents=True)
+    run = experiment("paper")
+    assert run.returncode == 2
+    assert "exists already" in run.stderr
+    assert list((tmp_path / "runs" / "test").iterdir()) == []
