@@ -52,10 +52,11 @@ class FTCM(TerminalSurfaceLaw):
         for joint in range(joints):
             p = self.for_joint(joint) if joints > 1 else self
             if not gain_condition(p.upsilon1, p.upsilon2, p.pi):
+                where = "all joints" if joints == 1 else f"joint {joint + 1}"
                 found.append(
-                    f"controller ftcm, {'all joints' if joints == 1 else f'joint {joint + 1}'}: the gain "
-                    f"condition (eq 34) fails: upsilon1={p.upsilon1:g}, upsilon2={p.upsilon2:g}, pi={p.pi:g}; "
-                    f"it needs upsilon1 > {2 * p.pi:g} and upsilon2 > {least_upsilon2(p.upsilon1, p.pi):.4g}; "
+                    f"controller ftcm, {where}: the gain condition (eq 34) fails: "
+                    f"upsilon1={p.upsilon1:g}, upsilon2={p.upsilon2:g}, pi={p.pi:g}; it needs "
+                    f"upsilon1 > {2 * p.pi:g} and upsilon2 > {least_upsilon2(p.upsilon1, p.pi):.4g}; "
                     f"these gains allow pi < {largest_bound(p.upsilon1, p.upsilon2):.4g}"
                 )
         return found
