@@ -52,7 +52,7 @@ def test_components_are_sorted_and_found() -> None:
     ("kind", "name", "message"),
     [
         ("controller", "scm", "no controller 'scm'; did you mean 'smc'?"),
-        ("observer", "xyzzy", "no observer 'xyzzy'; known: do, none"),
+        ("observer", "xyzzy", "no observer 'xyzzy'; known: "),
         ("fault", "vo_kang_friction", "no fault 'vo_kang_friction'; "),
         ("contoller", "smc", "no component kind 'contoller'; did you mean 'controller'?"),
     ],

@@ -152,8 +152,11 @@ def test_round_trip(tmp_path: Path, overrides: list[str]) -> None:
 
 @pytest.mark.parametrize(
     "name",
-    ["1e4", "-1e5", ".5e3", "1:30", "0x1", "1_000", "2020-01-01", "yes", "y", "null", "~", "=", "<<", "!!int", "&a",
-     "*a", "%", "@", "-", "é", "'", '"', "", "a: b", "# no", "a\nb", " padded ", "\ud800", "\x07", "\u2028"],
+    [
+        "1e4", "-1e5", ".5e3", "1:30", "0x1", "1_000", "2020-01-01", "yes", "y", "null", "~", "=", "<<",
+        "!!int", "&a", "*a", "%", "@", "-", "é", "'", '"', "", "a: b", "# no", "a\nb", " padded ", "\ud800",
+        "\u0007", "\u2028",
+    ],
 )  # fmt: skip
 def test_any_name_round_trips(name: str) -> None:
     """Also one that looks like something else in YAML."""

@@ -110,6 +110,22 @@ def test_an_existing_bag_is_never_written_over(trace: Trace, tmp_path: Path) -> 
     assert {p.name: p.read_bytes() for p in (tmp_path / "bag").iterdir()} == before
 
 
+def test_of_several_runs_in_a_bag_the_last_is_analysed(trace: Trace, tmp_path: Path) -> None:
+    assert trace.scenario is not None
+    other = simulate(trace.scenario.with_controller("smc"))
+    recording = Recording(tmp_path / "bag", "mcap", trace.scenario)
+    for run, ticks in ((other, 120), (trace, trace.ticks)):
+        for k in range(ticks):
+            for topic, data in messages(run, k):
+                recording.write(topic, 10**18 + (run is trace) * 10**9 + k * 10**6, data)
+    recording.close()
+    assert all(c["missing"] == 0 and c["repeated"] == 0 for c in recording.summary().values())
+    bag = read_bag(tmp_path / "bag")
+    assert bag.runs == 2
+    assert bag.missing == {}
+    assert all(np.array_equal(getattr(bag.trace, c), getattr(trace, c)) for c in COLUMNS)
+
+
 def foreign_bag(path: Path, trace: Trace, topics: set[str], prefix: str = "") -> None:
     """A bag as `ros2 bag record` makes it: no scenario, another joint order, only some topics."""
     joint_state = TYPESTORE.types["sensor_msgs/msg/JointState"]

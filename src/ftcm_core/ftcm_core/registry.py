@@ -22,6 +22,7 @@ KINDS = {
     "reference": "ftcm_core.references",
     "controller": "ftcm_core.controllers",
     "observer": "ftcm_core.observers",
+    "sensor": "ftcm_core.sensors",
     "disturbance": "ftcm_core.faults",
     "fault": "ftcm_core.faults",
 }

@@ -24,12 +24,18 @@ from ftcm_core.params import Parameterised, param, per_joint, specs
 from ftcm_core.references import Reference
 from ftcm_core.registry import Component, find
 from ftcm_core.robots import Robot
+from ftcm_core.sensors import Sensor
+from ftcm_core.sensors.ideal import Ideal
 from ftcm_core.signals import NANOSECONDS, Vector
 from ftcm_core.stages import SPEED_LIMIT, ControllerStage, InjectorStage, ObserverStage, PlantStage
 
 MAX_TICKS = 10_000_000
 MAX_FILE_BYTES = 1_000_000
-_COMPONENTS = {"robot": "robot", "reference": "reference", "controller": "controller", "observer": "observer"}
+_COMPONENTS = {
+    "robot": "robot", "reference": "reference", "controller": "controller", "observer": "observer",
+    "sensor": "sensor",
+}  # fmt: skip
+_OPTIONAL = {"sensor"}
 _LISTS = {"disturbances": "disturbance", "faults": "fault"}
 
 
@@ -65,6 +71,11 @@ class Scenario(Parameterised):
         None, unit="N·m", above=0.0, per_joint=True, optional=True, kind="float",
         doc="largest torque of each drive; null: no limit", source="sec. IV: none",
     )  # fmt: skip
+    torque_delay: int = param(
+        0, unit="ticks", at_least=0, at_most=1000,
+        doc="the drive applies the command of so many ticks before; zero torque until the first arrives",
+        source="sec. IV: none",
+    )  # fmt: skip
     seed: int = param(
         0, unit="-", at_least=0, at_most=2**63 - 1, doc="seed of all random streams", source="chosen"
     )
@@ -72,6 +83,7 @@ class Scenario(Parameterised):
     reference: Reference
     controller: Controller
     observer: Observer
+    sensor: Sensor = Ideal()
     initial_state: InitialState = InitialState()
     disturbances: tuple[Disturbance, ...] = ()
     faults: tuple[Fault, ...] = ()
@@ -116,6 +128,7 @@ class Scenario(Parameterised):
             ("reference", self.reference),
             ("controller", self.controller),
             ("observer", self.observer),
+            ("sensor", self.sensor),
             ("initial_state", self.initial_state),
             *((f"injection.disturbances.{i}", d) for i, d in enumerate(self.disturbances)),
             *((f"injection.faults.{i}", f) for i, f in enumerate(self.faults)),
@@ -146,7 +159,14 @@ class Scenario(Parameterised):
         n = self.robot.joints
         start = self.initial_state
         return PlantStage(
-            self.robot, self.dt, per_joint(start.position, n), per_joint(start.velocity, n), self.limits
+            self.robot,
+            self.dt,
+            per_joint(start.position, n),
+            per_joint(start.velocity, n),
+            self.limits,
+            self.sensor,
+            self.seed,
+            self.torque_delay,
         )
 
     def observer_stage(self) -> ObserverStage:
@@ -159,7 +179,8 @@ class Scenario(Parameterised):
 
     def injector_stage(self) -> InjectorStage:
         """Return the disturbances and faults."""
-        return InjectorStage((*self.disturbances, *self.faults), self.robot.joints, self.limits)
+        sources = (*self.disturbances, *self.faults)
+        return InjectorStage(sources, self.robot.joints, self.limits, self.torque_delay)
 
     def with_controller(self, name: str) -> Scenario:
         """Return this scenario with another controller at its defaults; unchanged if it is the same."""
@@ -433,6 +454,9 @@ def from_mapping(
     check_keys(rest, "", [*_COMPONENTS, "initial_state", "injection", *specs(Scenario)])
     parts: dict[str, Any] = {}
     for key, kind in _COMPONENTS.items():
+        if rest.get(key) is None and key in _OPTIONAL:
+            rest.pop(key, None)
+            continue
         if rest.get(key) is None:
             raise fail(key, "is missing; expected e.g. {type: " + _example(kind) + "}")
         parts[key] = component(rest.pop(key), key, kind)
@@ -450,6 +474,6 @@ def from_mapping(
 
 
 def _example(kind: str) -> str:
-    examples = {"robot": "puma560", "reference": "vo_kang_cosine", "controller": "ftcm", "observer": "do",
+    examples = {"robot": "puma560", "reference": "vo_kang_cosine", "controller": "ftcm", "observer": "do", "sensor": "encoder",
                 "disturbance": "vo_kang_friction", "fault": "vo_kang_fault"}  # fmt: skip
     return examples[kind]

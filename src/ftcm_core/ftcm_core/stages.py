@@ -16,6 +16,8 @@ from ftcm_core.faults import Disturbance
 from ftcm_core.observers import Observer
 from ftcm_core.references import Reference
 from ftcm_core.robots import Robot
+from ftcm_core.sensors import Sensor
+from ftcm_core.sensors.ideal import Ideal
 from ftcm_core.signals import Measurement, ReferencePoint, State, TrueDisturbance, Vector, saturate, seconds
 
 SPEED_LIMIT = 1000.0
@@ -23,31 +25,66 @@ SPEED_LIMIT = 1000.0
 
 
 class PlantStage:
-    """The robot: measures, then integrates one tick with torque and disturbance held (RK4)."""
+    """The robot: measures, then integrates one tick with torque and disturbance held (RK4).
+
+    ``position`` and ``velocity`` are the true motion; :meth:`measure` is what the sensor makes of it.
+    """
 
     def __init__(
-        self, robot: Robot, dt: float, position: Vector, velocity: Vector, torque_limits: Vector | None
+        self,
+        robot: Robot,
+        dt: float,
+        position: Vector,
+        velocity: Vector,
+        torque_limits: Vector | None,
+        sensor: Sensor | None = None,
+        seed: int = 0,
+        torque_delay: int = 0,
     ) -> None:
-        """Start at the given position (rad) and velocity (rad/s)."""
+        """Start at the given position (rad) and velocity (rad/s).
+
+        Args:
+            robot: the model.
+            dt: tick length, s.
+            position: rad.
+            velocity: rad/s.
+            torque_limits: largest torque per joint, N·m; None: no limit.
+            sensor: the sensor model; None: ideal.
+            seed: the scenario's seed, for the sensor's noise.
+            torque_delay: the drive applies the command of that many ticks before.
+        """
         self.robot = robot
         self.dt = dt
         self.torque_limits = torque_limits
         self.position = position
         self.velocity = velocity
         self.effort: Vector = (0.0,) * robot.joints
+        self.sensor = sensor or Ideal()
+        self._sensor_state = self.sensor.init(robot.joints, seed)
+        self._delay = DelayLine(torque_delay, robot.joints)
+        self._sense()
         self.diverged = ""
         """Why the run counts as diverged; empty while it does not."""
 
     def measure(self) -> Measurement:
-        """y_k: state and the torque applied over the tick that has just ended."""
-        return Measurement(self.position, self.velocity, self.effort)
+        """y_k: measured motion and the torque applied over the tick that has just ended.
+
+        The sensor works once per tick; asking again in the same tick gives the same.
+        """
+        return Measurement(*self._measured, self.effort)
+
+    def _sense(self) -> None:
+        *measured, self._sensor_state = self.sensor.step(
+            self.dt, self.position, self.velocity, self._sensor_state
+        )
+        self._measured: tuple[Vector, Vector] = (measured[0], measured[1])
 
     def step(self, u: Vector, d: TrueDisturbance) -> None:
         """Integrate from t_k to t_{k+1} with the command u_k and the disturbance d_k (N·m) held.
 
         Sets ``diverged`` when the torque is not finite or a joint is faster than any can be.
         """
-        self.effort = saturate(u, self.torque_limits)
+        self.effort = saturate(self._delay.step(u), self.torque_limits)
         tau = tuple(map(float.__add__, self.effort, d.torque))
         if not math.isfinite(sum(u) + sum(tau)):
             self.diverged = f"torque is not finite: command {list(u)} N·m, disturbance {list(d.torque)} N·m"
@@ -55,6 +92,24 @@ class PlantStage:
         self.position, self.velocity = rk4(self.robot, self.dt, self.position, self.velocity, tau)
         if not all([-SPEED_LIMIT < v < SPEED_LIMIT for v in self.velocity]):
             self.diverged = f"joint velocity {list(self.velocity)} rad/s is beyond {SPEED_LIMIT:g} rad/s"
+            return
+        self._sense()
+
+
+class DelayLine:
+    """Commands on their way to the drive: each comes out a number of ticks later, zeros before the first."""
+
+    def __init__(self, ticks: int, joints: int) -> None:
+        """Start with zeros (N·m) for as many ticks."""
+        self._waiting: tuple[Vector, ...] = ((0.0,) * joints,) * ticks
+
+    def step(self, u: Vector) -> Vector:
+        """Put in the command of this tick, N·m; return the one that arrives in it."""
+        if not self._waiting:
+            return u
+        arrived, *rest = self._waiting
+        self._waiting = (*rest, u)
+        return arrived
 
 
 def rk4(robot: Robot, dt: float, q: Vector, v: Vector, tau: Vector) -> tuple[Vector, Vector]:
@@ -146,16 +201,23 @@ class ControllerStage:
 class InjectorStage:
     """Disturbances and faults: one added torque per measurement and command."""
 
-    def __init__(self, sources: Sequence[Disturbance], joints: int, torque_limits: Vector | None) -> None:
-        """Sum the torques of all sources; they see the torque the drive applies, after limits."""
+    def __init__(
+        self,
+        sources: Sequence[Disturbance],
+        joints: int,
+        torque_limits: Vector | None,
+        torque_delay: int = 0,
+    ) -> None:
+        """Sum the torques of all sources; they see the torque the drive applies, after delay and limits."""
         self.sources = tuple(sources)
         self.joints = joints
         self.torque_limits = torque_limits
+        self._delay = DelayLine(torque_delay, joints)
 
     def step(self, time_ns: int, position: Vector, velocity: Vector, u: Vector) -> TrueDisturbance:
-        """d_k (N·m) at t_k (integer ns) for the true state and the command u_k."""
+        """d_k (N·m) at t_k (integer ns) for the true state and the command u_k; once per tick."""
         t = seconds(time_ns)
-        applied = saturate(u, self.torque_limits)
+        applied = saturate(self._delay.step(u), self.torque_limits)
         total: Vector = (0.0,) * self.joints
         for source in self.sources:
             total = tuple(map(float.__add__, total, source.torque(t, position, velocity, applied)))

@@ -31,6 +31,9 @@ COLUMNS = {
 }
 """Recorded columns and their units: arrays of shape (ticks, joints)."""
 
+MEASURED = {"measured_position": "rad", "measured_velocity": "rad/s"}
+"""Further columns of a run whose sensor is not ideal: what observer and controller were given."""
+
 
 @dataclasses.dataclass(frozen=True)
 class Change:
@@ -46,7 +49,8 @@ class Change:
 class Trace:
     """One run. Columns are float64 arrays of shape (ticks, joints), units in :data:`COLUMNS`.
 
-    A column that a bag does not have, or a tick missing in it, is NaN.
+    A column that a bag does not have, or a tick missing in it, is NaN. Position and velocity are the true
+    motion, and so are the errors taken from them; a source that knows only the measured motion gives that.
     """
 
     joint_names: tuple[str, ...]
@@ -63,6 +67,9 @@ class Trace:
     disturbance: Array
     reference_position: Array
     reference_velocity: Array
+    measured_position: Array | None = None
+    """None where the sensor was ideal, or what it measured was not kept."""
+    measured_velocity: Array | None = None
     scenario: Scenario | None = None
     status: str = "completed"
     """``completed``, ``diverged``, or ``incomplete`` (ended before its duration)."""
@@ -121,16 +128,17 @@ class Trace:
     @cached_property
     def lumped_uncertainty(self) -> Array:
         """True Δ = -M(q)^-1 disturbance (eq 6), rad/s²; NaN without a robot model."""
-        return self._as_acceleration(-self.disturbance)
+        return self._as_acceleration(self.position, -self.disturbance)
 
     @cached_property
     def lumped_uncertainty_estimate(self) -> Array:
         """Estimate Δ̂ = M(q)^-1 tau_hat, rad/s²; NaN without a robot model."""
-        return self._as_acceleration(self.disturbance_estimate)
+        seen = self.position if self.measured_position is None else self.measured_position
+        return self._as_acceleration(seen, self.disturbance_estimate)
 
-    def _as_acceleration(self, torque: Array) -> Array:
+    def _as_acceleration(self, position: Array, torque: Array) -> Array:
         robot = self.robot
         if robot is None:
             return np.full_like(torque, np.nan)
-        rows = zip(self.position.tolist(), torque.tolist())
+        rows = zip(position.tolist(), torque.tolist())
         return np.array([robot.inertia_acceleration(q, tau) for q, tau in rows]).reshape(torque.shape)

@@ -51,6 +51,8 @@ def analyse(options: argparse.Namespace) -> int:
     bags = [read_bag(path, scenario) for path in options.bags]
     traces = list(zip(labels(bags), (b.trace for b in bags)))
     for label, bag in zip((n for n, _ in traces), bags):
+        if bag.runs > 1:
+            print(f"warning: {label}: the bag holds {bag.runs} runs; this is the last one", file=sys.stderr)
         if bag.missing:
             print(f"warning: {label}: ticks missing in the bag: {bag.missing}", file=sys.stderr)
         if bag.trace.scenario is None:

@@ -62,6 +62,8 @@ class BagContents:
     """The recorder's custom data."""
     received: dict[str, npt.NDArray[np.int64]]
     """Time at which the recorder received each message, ns, per data topic."""
+    runs: int = 1
+    """Runs in the bag; the trace is the last one."""
 
 
 def read_bag(path: Path, scenario: Scenario | None = None) -> BagContents:
@@ -88,6 +90,7 @@ def read_bag(path: Path, scenario: Scenario | None = None) -> BagContents:
         scenario = from_mapping(parse_yaml(text, str(path))[0], origin=f"{path}: recorded scenario")
     names = scenario.robot.joint_names if scenario else _joint_names(path, raw[JOINT_STATES.name][0])
     decoded = {name: _decode(path, name, messages, names) for name, messages in raw.items() if messages}
+    runs = _keep_last_run(decoded, received)
     stamps = np.unique(np.concatenate([times for times, _ in decoded.values()]))
     dt_ns = scenario.dt_ns if scenario else int(np.median(np.diff(stamps))) if len(stamps) > 1 else 1_000_000
     columns = {column: _column(decoded, stamps, len(names), *_SOURCES[column]) for column in COLUMNS}
@@ -106,7 +109,7 @@ def read_bag(path: Path, scenario: Scenario | None = None) -> BagContents:
         joint_names=names, dt=dt_ns / 1e9, time_ns=stamps, **columns,
         scenario=scenario, status=status, detail=detail, changes=tuple(changes),
     )  # fmt: skip
-    return BagContents(path, trace, missing, nodes, metadata, received)
+    return BagContents(path, trace, missing, nodes, metadata, received, runs)
 
 
 def _read_messages(
@@ -171,6 +174,19 @@ def _decode(path: Path, name: str, messages: Sequence[bytes], joint_names: tuple
     return np.array([s.time_ns for s in samples], dtype=np.int64), [*arrays]
 
 
+def _keep_last_run(decoded: dict[str, Decoded], received: dict[str, npt.NDArray[np.int64]]) -> int:
+    """Keep the last of several runs in one bag: stamps begin anew with each. Return how many there were."""
+    times = decoded[JOINT_STATES.name][0]
+    starts = np.flatnonzero(np.diff(times) < 0) + 1
+    if len(starts):
+        begin = received[JOINT_STATES.name][starts[-1]]
+        for name, (stamps, arrays) in decoded.items():
+            keep = received[name] >= begin
+            decoded[name] = stamps[keep], [None if a is None else a[keep] for a in arrays]
+            received[name] = received[name][keep]
+    return len(starts) + 1
+
+
 def _column(
     decoded: dict[str, Decoded], stamps: npt.NDArray[np.int64], joints: int, topic: str, index: int
 ) -> npt.NDArray[np.float64]:
@@ -194,7 +210,7 @@ def _last_diagnostics(typestore: Any, messages: Sequence[bytes]) -> dict[str, di
 
 
 def _changes(typestore: Any, messages: Sequence[bytes], dt_ns: int) -> list[Change]:
-    found = []
+    found: list[Change] = []
     for data in messages:
         array = typestore.deserialize_cdr(data, CHANGES.type)
         tick = (array.header.stamp.sec * 1_000_000_000 + array.header.stamp.nanosec) // dt_ns
@@ -202,6 +218,8 @@ def _changes(typestore: Any, messages: Sequence[bytes], dt_ns: int) -> list[Chan
             values = {v.key: v.value for v in status.values}
             mapping = json.loads(values["component"])
             component = find(status.name, mapping.pop("type"))(**mapping)
+            # An earlier tick than the last one: a new run has begun, and only the last run counts.
+            found = [c for c in found if c.kind != status.name or c.tick <= tick]
             found.append(Change(tick, status.name, component))
     return sorted(found, key=lambda c: c.tick)
 

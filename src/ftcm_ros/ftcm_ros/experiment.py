@@ -115,7 +115,7 @@ class Run:
             self.timing["nodes"] = self.health
 
     def _start(self) -> None:
-        scenario_file = self.folder / "scenarios" / f"{self.label}.yaml"
+        scenario_file = self.logs / "scenario.yaml"
         scenario_file.parent.mkdir(parents=True, exist_ok=True)
         scenario_file.write_text(self.scenario.to_yaml(), encoding="utf-8")
         common = {

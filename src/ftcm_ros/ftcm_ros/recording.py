@@ -38,7 +38,8 @@ class TopicCount:
     def add(self, time_ns: int, dt_ns: int) -> None:
         """Count one message."""
         self.messages += 1
-        before = -dt_ns if self.last is None else self.last
+        new_run = self.last is None or time_ns == 0 < self.last
+        before = -dt_ns if new_run or self.last is None else self.last
         if time_ns <= before:
             self.repeated += 1
             return

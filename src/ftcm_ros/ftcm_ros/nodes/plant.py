@@ -183,6 +183,8 @@ class PlantNode(SuiteNode):
         if self.state == "diverged":
             level = "error"
         message = f"{self.state}: {self.detail}" if self.detail else self.state
+        if misses.total:
+            message += f", {misses.total} deadlines missed"
         return level, message, {
             "state": self.state,
             "detail": self.detail,

@@ -82,7 +82,7 @@ class RecorderNode(SuiteNode):
         done = recording.complete_to
         if done is not None:
             self.ticks = done // self.scenario.dt_ns + 1
-            if self.ticks - self._acknowledged >= ACKNOWLEDGE_TICKS:
+            if not 0 <= self.ticks - self._acknowledged < ACKNOWLEDGE_TICKS:
                 self._acknowledged = self.ticks
                 sec, nanosec = divmod(done, NANOSECONDS)
                 self._acknowledge(Time(sec=sec, nanosec=nanosec))
