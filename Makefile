@@ -23,7 +23,7 @@ source = $(call enter,$(1)); set +u; . $(2)install/setup.bash; set -u
 # Its own packages are built anew, as colcon leaves modules behind whose source is gone.
 define colcon_build
 $(call enter,$(1)); \
-now=$$( { find src config -type f -not -path '*/__pycache__/*' -not -path '*.egg-info/*' -print0 \
+now=$$( { find src config -type f -not -path '*/__pycache__/*' -not -path '*.egg-info/*' -not -path 'src/*/build/*' -print0 \
     | sort -z | xargs -0 sha256sum; find src -type l; cat $(1)/pyvenv.cfg $(1)/.done-[rj]*; } | sha256sum ); \
 if [ "$$now" = "$$(cat $(2)install/.built 2>/dev/null)" ]; then \
     echo '==> build: $(2)install is up to date'; \

@@ -26,6 +26,31 @@ def super_twisting(
     return upsilon1 * sig(sigma, 0.5) + eta, eta + dt * upsilon2 * sgn(sigma)
 
 
+def implicit_super_twisting(
+    sigma: float, eta: float, upsilon1: float, upsilon2: float, dt: float
+) -> tuple[float, float]:
+    """u_r = Υ1 |σ⁺|^½ sgn σ⁺ + η⁺ with σ⁺ = σ - dt u_r, η⁺ ∈ η + dt Υ2 Sgn σ⁺: eq 33 by backward Euler.
+
+    Args:
+        sigma: sliding variable σ at t_k, rad/s.
+        eta: integral term η at t_k, rad/s².
+        upsilon1: gain Υ1, (rad/s)^½/s.
+        upsilon2: gain Υ2, rad/s³.
+        dt: tick length, s.
+
+    Returns:
+        u_r, rad/s², to be subtracted from the commanded acceleration; and η at t_{k+1}.
+    """
+    # σ⁺ + dt Υ1 |σ⁺|^½ sgn σ⁺ + dt² Υ2 Sgn σ⁺ ∋ σ - dt η: a quadratic in |σ⁺|^½, or σ⁺ = 0.
+    b = sigma - dt * eta
+    rest = abs(b) - dt * dt * upsilon2
+    if rest <= 0.0:
+        return sigma / dt, sigma / dt
+    root = 2.0 * rest / (dt * upsilon1 + math.sqrt(dt * dt * upsilon1 * upsilon1 + 4.0 * rest))
+    following = eta + dt * upsilon2 * sgn(b)
+    return upsilon1 * root * sgn(b) + following, following
+
+
 def least_upsilon2(upsilon1: float, pi: float) -> float:
     """Smallest Υ2 that eq 34 allows: Υ1 (5 Π Υ1 + 4 Π²) / (2 (Υ1 - 2 Π)); infinite unless Υ1 > 2 Π.
 

@@ -54,6 +54,7 @@ class SuiteNode(LifecycleNode):
         self.plane = DataPlane(self, self.setting("data_path"))
         self.active = False
         self.stopping = False
+        self._failure = ""
         self.ticks = 0
         """Ticks done since activation."""
         self.refused = 0
@@ -111,15 +112,20 @@ class SuiteNode(LifecycleNode):
         try:
             self.on_main_thread(work)
         except (FtcmError, OSError) as error:
-            self.get_logger().error(str(error))
+            self._failed(str(error))
             return TransitionCallbackReturn.FAILURE
         return TransitionCallbackReturn.SUCCESS
+
+    def _failed(self, reason: str) -> None:
+        self._failure = reason
+        if not self.autostart:  # else the process ends with this line
+            self.get_logger().error(reason)
 
     def _wait_for_graph(self) -> bool:
         end = time.monotonic() + MATCH_TIMEOUT
         while missing := self.plane.unmatched():
             if time.monotonic() > end or self.stopping:
-                self.get_logger().error(f"not activated: {missing} after {MATCH_TIMEOUT:g} s")
+                self._failed(f"not activated: {missing} after {MATCH_TIMEOUT:g} s")
                 return False
             time.sleep(0.01)  # the graph has no wait of its own that covers both directions
         return True
@@ -161,7 +167,7 @@ class SuiteNode(LifecycleNode):
             self.trigger_configure()
             self.trigger_activate()
             if not self.active:
-                raise FtcmError(f"{self.get_name()} could not be activated")
+                raise FtcmError(self._failure)
         while not self.stopping:
             self.do_main_thread_work()
             self.step()
