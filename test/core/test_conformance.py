@@ -25,6 +25,13 @@ from ftcm_core.stages import PlantStage
 
 ROBOT, DT, JOINTS = Puma560(), 1e-3, 3
 ALL = [(kind, name) for kind in KINDS for name in components(kind)]
+VARIANTS = [  # every component at its defaults, and with every other choice of what it lets one choose
+    pytest.param(kind, cls(**given), id="-".join([kind, name, *given.values()]))
+    for kind in KINDS
+    for name, cls in components(kind).items()
+    for given in [{}, *({s.name: c} for s in specs(cls).values() for c in s.choices if c != s.default)]
+]
+every_variant = pytest.mark.parametrize(("kind", "component"), VARIANTS)
 every_component = pytest.mark.parametrize(("kind", "name"), ALL)
 DECLARED = [
     pytest.param(cls, spec, id=f"{cls.__name__}-{spec.name}")
@@ -82,6 +89,11 @@ def outputs(kind: str, component: Any, s: Sample) -> tuple[list[Vector], list[An
         u2, third = component.step(ROBOT, DT, s.now, s.reference, s.estimate, second)
         assert [len(x) for x in (first, second, third)] == [JOINTS] * 3, "a state has one entry per joint"
         return [u1, u2], [first, second, third]
+    if kind == "sensor":
+        first = component.init(JOINTS, 7)
+        q1, v1, second = component.step(DT, *s.before[:2], first)
+        q2, v2, third = component.step(DT, q, v, second)
+        return [q1, v1, q2, v2], [first, second, third]
     if kind == "observer":
         first = component.init(ROBOT, s.before)
         estimate, second = component.step(ROBOT, DT, s.now, first)
@@ -112,12 +124,12 @@ def scenario_with(kind: str, entry: Any) -> dict[str, Any]:
         "controller": "ctc",
         "observer": "none",
     }
-    if kind in data:
-        data[kind] = entry
-        if kind == "controller":
-            data["observer"] = "do"
-    else:
+    if kind in ("disturbance", "fault"):
         data["injection"] = {key_of(kind): [entry]}
+    else:
+        data[kind] = entry
+    if kind == "controller":
+        data["observer"] = "do"
     return data
 
 
@@ -244,15 +256,14 @@ def test_component_round_trips_through_a_scenario(kind: str, name: str) -> None:
 # Steps.
 
 
-@every_component
+@every_variant
 @settings(deadline=None, max_examples=40)
 @given(s=samples)
-def test_step_is_pure(kind: str, name: str, s: Sample) -> None:
+def test_step_is_pure(kind: str, component: Any, s: Sample) -> None:
     """Twice the same inputs give the same finite floats, one per joint; states are immutable values."""
-    component = components(kind)[name]()
     inputs = copy.deepcopy(s)
     first, states = outputs(kind, component, s)
-    second, states_again = outputs(kind, components(kind)[name](), s)
+    second, states_again = outputs(kind, copy.deepcopy(component), s)
     assert repr((first, states)) == repr((second, states_again))
     assert repr(inputs) == repr(s)
     assert all(isinstance(v, tuple) and len(v) == JOINTS for v in first)
@@ -262,13 +273,13 @@ def test_step_is_pure(kind: str, name: str, s: Sample) -> None:
         assert all(type(x) is float and math.isfinite(x) for x in leaves(state))
 
 
-@every_component
+@every_variant
 @settings(deadline=None, max_examples=20)
 @given(s=samples)
-def test_equal_per_joint_values_are_the_scalar(kind: str, name: str, s: Sample) -> None:
+def test_equal_per_joint_values_are_the_scalar(kind: str, component: Any, s: Sample) -> None:
     """A list of equal numbers gives bit for bit what the one number gives."""
-    cls = components(kind)[name]
-    scalar = {k: v[0] if isinstance(v, tuple) else v for k, v in cls().values.items()}
+    cls = type(component)
+    scalar = {k: v[0] if isinstance(v, tuple) else v for k, v in component.values.items()}
     listed = {k: (v,) * JOINTS if specs(cls)[k].per_joint else v for k, v in scalar.items()}
     assert repr(outputs(kind, cls(**scalar), s)) == repr(outputs(kind, cls(**listed), s))
 
@@ -284,7 +295,7 @@ def test_per_joint_list_must_fit_the_robot(kind: str, name: str) -> None:
             with pytest.raises(ParameterError, match=spec.name):
                 cls(**{spec.name: [value] * (JOINTS - 1)}).check_joints(JOINTS)
             with pytest.raises(
-                ScenarioError, match=rf"{key_of(kind)}(\.0)?\.{spec.name}: .*one number per joint \(3\)"
+                ScenarioError, match=rf"{key_of(kind)}(\.0)?\.{spec.name}: .*one .*per joint \(3\)"
             ):
                 from_mapping(scenario_with(kind, entry))
 
@@ -331,6 +342,17 @@ def test_observer_finds_a_constant_disturbance(name: str) -> None:
         estimate, state = observer.step(ROBOT, DT, plant.measure(), state)
     expected = (0.0,) * JOINTS if name == "none" else tuple(-x for x in d)
     assert estimate == pytest.approx(expected, abs=1e-9)
+
+
+@of_kind("sensor")
+@settings(deadline=None, max_examples=40)
+@given(s=samples)
+def test_exact_sensor_reports_the_true_motion(name: str, s: Sample) -> None:
+    """One that says so gives back what it is given."""
+    sensor = components("sensor")[name]()
+    q, v, _ = sensor.step(DT, *s.now[:2], sensor.init(JOINTS, 0))
+    if sensor.exact:
+        assert (q, v) == s.now[:2]
 
 
 @of_kind("reference")

@@ -252,7 +252,7 @@ def situation(y: Measurement, r: ReferencePoint) -> laws_matrix.Situation:
 
 def arrays(law: Controller) -> Any:
     """Parameters as arrays, one entry per joint, under the law's names."""
-    return SimpleNamespace(**{k: np.broadcast_to(v, 3).astype(float) for k, v in law.values.items()})
+    return SimpleNamespace(**{k: np.broadcast_to(v, 3) for k, v in law.values.items()})
 
 
 def matrix_form(

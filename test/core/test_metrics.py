@@ -122,14 +122,14 @@ def test_saturation_share() -> None:
 
 
 def test_observer_metrics() -> None:
-    """Δ - Δ̂ = -M⁻¹ (d + tau_hat): zero for tau_hat = -d."""
+    """Δ - Δ̂ = -M⁻¹ (d + tau_hat), here for a d that is three times as large in one tick: zero for tau_hat = -d."""
     robot, q = Puma560(), (0.3, -0.4, 0.7)
-    d = np.outer(ALTERNATING, [1.0, 2.0, -3.0])
-    expected = np.abs(robot.inertia_acceleration(q, (1.0, 2.0, -3.0)))
+    d = np.outer(ALTERNATING * (1.0 + 2.0 * SINGLE), [1.0, 2.0, -3.0])
+    size = np.abs(robot.inertia_acceleration(q, (1.0, 2.0, -3.0)))
     blind = made_up(position=np.tile(q, (1000, 1)), disturbance=d, overrides=[])
     perfect = made_up(position=np.tile(q, (1000, 1)), disturbance=d, disturbance_estimate=-d, overrides=[])
-    for metric in ("observer_rms_error", "observer_max_error"):
-        assert value(metric, blind) == pytest.approx(expected, rel=1e-13)
+    for metric, factor in (("observer_rms_error", math.sqrt(1.008)), ("observer_max_error", 3.0)):
+        assert value(metric, blind) == pytest.approx(factor * size, rel=1e-13)
         assert value(metric, perfect) == [0.0] * 3
 
 
@@ -211,7 +211,7 @@ def test_result_is_complete_and_serialisable() -> None:
     assert found["first_torque"] == trace.command[0].tolist()
     assert found["settling_time_bound"] == pytest.approx([0.5**0.4 / 0.8] * 3, rel=1e-15)
     assert found["changes"][0]["tick"] == 50
-    assert found["changes"][0]["type"] == "smc"
+    assert (found["changes"][0]["kind"], found["changes"][0]["type"]) == ("controller", "smc")
     assert found["configuration"] == load("paper", ["duration=0.1"]).to_mapping()
     assert found["metrics"]["after_fault"] is None
 

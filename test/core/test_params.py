@@ -36,7 +36,7 @@ SPECS = specs(Sample)
     [
         ("gain", "a number or a list with one number per joint in (0, inf) (1/s)"),
         ("share", "a number in [0, 1)"),
-        ("count", "a whole number in [1, 9.22337e+18]"),
+        ("count", "a whole number in [1, 9223372036854775807]"),
         ("offset", "a number (rad)"),
         ("flag", "true or false"),
         ("mode", "one of abrupt, incipient"),
@@ -147,7 +147,7 @@ def test_joints() -> None:
     record = Sample(gain=[1, 2, 3])
     record.check_joints(3)
     with pytest.raises(
-        ParameterError, match=r"^gain: \[1.0, 2.0, 3.0\] has 3 entries; expected one .* \(2\)$"
+        ParameterError, match=r"^gain: \[1.0, 2.0, 3.0\] has 3 entries; expected one .*\(2\)$"
     ):
         record.check_joints(2)
     assert [record.for_joint(j).gain for j in range(3)] == [1.0, 2.0, 3.0]

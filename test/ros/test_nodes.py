@@ -67,7 +67,9 @@ def test_a_mistake_at_start_is_one_line(
 
 
 @pytest.mark.parametrize("kind", ["controller", "observer"])
-def test_every_component_parameter_is_a_described_ros_parameter(start: Start, watcher: Any, kind: str) -> None:
+def test_every_component_parameter_is_a_described_ros_parameter(
+    start: Start, watcher: Any, kind: str
+) -> None:
     node(start, kind)
     declared = [(name, spec) for name, cls in components(kind).items() for spec in specs(cls).values()]
     names = [f"{name}.{spec.name}" for name, spec in declared]
@@ -94,7 +96,10 @@ def test_bad_values_are_refused_whole_and_numbers_are_taken_as_meant(start: Star
         assert not successful
         assert reason in text
         assert watcher.get("controller", next(iter(values)).replace("__", ".")) == before
-    assert watcher.set("controller", ftcm__gamma1=3, ftcm__upsilon1=[16.0, 17.0, 18.0]) == [(True, ""), (True, "")]
+    assert watcher.set("controller", ftcm__gamma1=3, ftcm__upsilon1=[16.0, 17.0, 18.0]) == [
+        (True, ""),
+        (True, ""),
+    ]
     assert watcher.get("controller", "ftcm.gamma1") == 3
     assert list(watcher.get("controller", "ftcm.upsilon1")) == [16.0, 17.0, 18.0]
 
@@ -102,8 +107,14 @@ def test_bad_values_are_refused_whole_and_numbers_are_taken_as_meant(start: Star
 @pytest.mark.parametrize("name", NODES)
 def test_a_node_alone_is_active_and_stops_cleanly(start: Start, watcher: Any, name: str) -> None:
     process = node(start, name)
-    answer = watcher.call(GetState, f"/{name}/get_state", GetState.Request())
-    assert answer.current_state.id == State.PRIMARY_STATE_ACTIVE
+    watcher.spin_until(
+        lambda: (
+            watcher.call(GetState, f"/{name}/get_state", GetState.Request()).current_state.id
+            == State.PRIMARY_STATE_ACTIVE
+        ),
+        f"{name} active",
+        30.0,
+    )
     process.send_signal(signal.SIGINT)
     out, err = process.communicate(timeout=30)
     assert process.returncode == 0, err
@@ -149,7 +160,9 @@ def test_messages_that_do_not_fit_are_refused_and_named(start: Start, watcher: A
     answers: list[JointState] = []
     watcher.node.create_subscription(JointState, "/disturbance_estimate", answers.append, 10)
     time.sleep(0.5)
-    good = JointState(name=["joint3", "joint2", "joint1", "x"], position=[0.0] * 4, velocity=[0.0] * 4, effort=[0.0] * 4)
+    good = JointState(
+        name=["joint3", "joint2", "joint1", "x"], position=[0.0] * 4, velocity=[0.0] * 4, effort=[0.0] * 4
+    )
     publisher.publish(JointState(name=["a", "b", "c"], position=[0.0] * 3))
     publisher.publish(JointState(name=["joint1", "joint2", "joint3"], position=[0.0] * 3))
     publisher.publish(good)
@@ -161,6 +174,9 @@ def test_messages_that_do_not_fit_are_refused_and_named(start: Start, watcher: A
 
 def test_the_reference_pages_are_up_to_date() -> None:
     run = subprocess.run(
-        [sys.executable, "-m", "ftcm_ros.reference", "--check", str(DOCS)], capture_output=True, text=True, check=False
+        [sys.executable, "-m", "ftcm_ros.reference", "--check", str(DOCS)],
+        capture_output=True,
+        text=True,
+        check=False,
     )
     assert run.returncode == 0, run.stderr

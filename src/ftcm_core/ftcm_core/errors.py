@@ -4,11 +4,34 @@
 from __future__ import annotations
 
 import difflib
+import reprlib
 from collections.abc import Iterable
+
+_repr = reprlib.Repr()
+_repr.maxstring = _repr.maxother = 60
+_repr.maxlist = _repr.maxtuple = _repr.maxdict = 4
+_repr.maxlevel = 2
 
 
 class FtcmError(Exception):
     """A mistake the user can mend. Command lines print it without a traceback and exit with status 2."""
+
+    def __init__(self, message: str) -> None:
+        """Make it one line, whatever is quoted in it."""
+        super().__init__(" ".join(message.splitlines()))
+
+
+def shown(value: object) -> str:
+    """Return a value as an error message shows it: like ``repr``, but never long.
+
+    Args:
+        value: whatever the user gave.
+    """
+    try:
+        text = _repr.repr(value)
+    except (ValueError, RecursionError):  # an integer of thousands of digits, a list that contains itself
+        text = f"a value of type {type(value).__name__}"
+    return text if len(text) <= 120 else text[:117] + "..."
 
 
 class ParameterError(FtcmError):
@@ -27,6 +50,7 @@ def suggestion(name: str, known: Iterable[str]) -> str:
         known: the names that exist.
     """
     known = sorted(known)
+    name = name[:60]
     close = difflib.get_close_matches(name, known, n=1, cutoff=0.5)
     if close:
         return f"did you mean '{close[0]}'?"

@@ -32,7 +32,7 @@ def windows(trace: Trace) -> dict[str, slice | None]:
     last = trace.ticks
 
     def row(t: float) -> int:
-        return int(np.searchsorted(trace.time_ns, round(t * 1e9)))
+        return int(np.searchsorted(trace.time_ns, min(t * 1e9, 2.0**62)))
 
     settled = row(scenario.transient if scenario else 1.0)
     onset = scenario.first_fault if scenario else None
@@ -108,6 +108,8 @@ def torque_high_frequency_rms(trace: Trace, rows: slice) -> Array:
     n = len(u)
     taper = 0.5 - 0.5 * np.cos(2.0 * np.pi * np.arange(n) / n)
     power = np.abs(np.fft.rfft(u * taper[:, None], axis=0)) ** 2
+    if n % 2 == 0:
+        power[-1] /= 2.0  # the Nyquist line stands for itself alone, all others for two
     high = np.fft.rfftfreq(n, trace.dt) > HIGH_FREQUENCY
     return np.asarray(np.sqrt(2.0 * np.sum(power[high], axis=0) / n / np.sum(taper**2)))
 
@@ -117,7 +119,8 @@ def saturation_share(trace: Trace, rows: slice) -> Array:
     limits = trace.scenario.limits if trace.scenario else None
     if limits is None:
         return np.zeros(trace.command.shape[1])
-    return np.asarray(np.mean(np.abs(trace.command[rows]) >= np.array(limits), axis=0))
+    u = np.abs(trace.command[rows])
+    return np.where(np.isnan(u).any(axis=0), np.nan, np.mean(u >= np.array(limits), axis=0))
 
 
 def observer_rms_error(trace: Trace, rows: slice) -> Array:

@@ -13,7 +13,7 @@ import math
 from collections.abc import Hashable
 from typing import Any, cast
 
-from ftcm_core.errors import ParameterError, suggestion
+from ftcm_core.errors import ParameterError, shown, suggestion
 
 _KEY = "ftcm_param"
 
@@ -65,10 +65,7 @@ class ParamSpec:
             return ""
         left = "(" if self.lower_open or math.isinf(self.lower) else "["
         right = ")" if self.upper_open or math.isinf(self.upper) else "]"
-        lower, upper = (
-            f"{x:.0f}" if self.kind == "int" and math.isfinite(x) else f"{x:g}"
-            for x in (self.lower, self.upper)
-        )
+        lower, upper = (str(x) if isinstance(x, int) else f"{x:g}" for x in (self.lower, self.upper))
         return f"{left}{lower}, {upper}{right}"
 
     def check(self, value: Any) -> Any:
@@ -84,26 +81,28 @@ class ParamSpec:
         if self.kind == "str" and isinstance(value, str) and (not self.choices or value in self.choices):
             return value
         if self.kind == "str" and isinstance(value, str):
-            raise ParameterError(f"{value!r} is not {self.expected}; {suggestion(value, self.choices)}")
+            raise ParameterError(f"{shown(value)} is not {self.expected}; {suggestion(value, self.choices)}")
         if self.kind in ("float", "int"):
             if self.per_joint and isinstance(value, (list, tuple)) and value:
                 return tuple(self._number(v) for v in value)
             return self._number(value)
-        raise ParameterError(f"{value!r} is not {self.expected}")
+        raise ParameterError(f"{shown(value)} is not {self.expected}")
 
     def _number(self, value: Any) -> float | int:
         if isinstance(value, bool) or not isinstance(value, (int, float)):
-            raise ParameterError(f"{value!r} is not {self.expected}")
+            raise ParameterError(f"{shown(value)} is not {self.expected}")
+        whole = self.kind == "int" and isinstance(value, int)
         try:
-            number = float(value)
+            number = value if whole else float(value)
         except OverflowError:
             number = math.inf
-        if not math.isfinite(number):
-            raise ParameterError(f"{value} is not finite; expected {self.expected}")
+        if not whole and not math.isfinite(number):
+            raise ParameterError(f"{shown(value)} is not finite; expected {self.expected}")
         low = number <= self.lower if self.lower_open else number < self.lower
         high = number >= self.upper if self.upper_open else number > self.upper
         if low or high:
-            raise ParameterError(f"{value:g} is out of range; expected {self.expected}")
+            text = shown(value) if whole else f"{value:g}"
+            raise ParameterError(f"{text} is out of range; expected {self.expected}")
         if self.kind == "int":
             if number != int(number):
                 raise ParameterError(f"{value} is not {self.expected}")

@@ -7,6 +7,7 @@ name for a misspelt one. The same dotted paths address values on the command lin
 
 from __future__ import annotations
 
+import copy
 import dataclasses
 import importlib.resources
 import re
@@ -17,7 +18,7 @@ from typing import Any, cast
 import yaml
 
 from ftcm_core.controllers import Controller
-from ftcm_core.errors import FtcmError, ParameterError, ScenarioError, suggestion
+from ftcm_core.errors import FtcmError, ParameterError, ScenarioError, shown, suggestion
 from ftcm_core.faults import Disturbance, Fault
 from ftcm_core.observers import Observer
 from ftcm_core.params import Parameterised, param, per_joint, specs
@@ -36,6 +37,7 @@ _COMPONENTS = {
     "sensor": "sensor",
 }  # fmt: skip
 _OPTIONAL = {"sensor"}
+IDEAL = Ideal()
 _LISTS = {"disturbances": "disturbance", "faults": "fault"}
 
 
@@ -83,7 +85,7 @@ class Scenario(Parameterised):
     reference: Reference
     controller: Controller
     observer: Observer
-    sensor: Sensor = Ideal()
+    sensor: Sensor = IDEAL
     initial_state: InitialState = InitialState()
     disturbances: tuple[Disturbance, ...] = ()
     faults: tuple[Fault, ...] = ()
@@ -91,7 +93,7 @@ class Scenario(Parameterised):
     def check(self) -> None:
         """Check what one value cannot tell: whole ticks, joint counts, an observer where one is needed."""
         ns = self.dt * NANOSECONDS
-        if abs(ns - round(ns)) > 1e-6 * ns:
+        if abs(ns - round(ns)) > 1e-6:
             raise ParameterError(
                 f"dt: {self.dt!r} s is not a whole number of nanoseconds; choose e.g. {round(ns)}e-9"
             )
@@ -99,7 +101,7 @@ class Scenario(Parameterised):
         if abs(count - round(count)) > 1e-6 or round(count) < 1:
             raise ParameterError(
                 f"duration: {self.duration:g} s is not a whole number of ticks of {self.dt:g} s; "
-                f"choose e.g. {max(1, round(count)) * round(ns) / NANOSECONDS:g}"
+                f"choose e.g. {max(1, round(count)) * round(ns) / NANOSECONDS!r}"
             )
         if count > MAX_TICKS:
             raise ParameterError(
@@ -203,7 +205,9 @@ class Scenario(Parameterised):
 
     def to_yaml(self) -> str:
         """Return the complete scenario as a file that reads back to an equal scenario."""
-        return yaml.safe_dump(self.to_mapping(), sort_keys=False, allow_unicode=True, default_flow_style=None)
+        return yaml.dump(
+            self.to_mapping(), Dumper=_Dumper, sort_keys=False, allow_unicode=True, default_flow_style=None
+        )
 
 
 def replace(scenario: Scenario, **changes: Any) -> Scenario:
@@ -224,7 +228,7 @@ class _Loader(yaml.SafeLoader):
     def construct_mapping(self, node: yaml.MappingNode, deep: bool = False) -> dict[Any, Any]:
         seen = set()
         for key, _ in node.value:
-            if key.value in seen and isinstance(key, yaml.ScalarNode):
+            if isinstance(key, yaml.ScalarNode) and key.value in seen:
                 raise yaml.constructor.ConstructorError(
                     None, None, f"the key {key.value!r} is given twice", key.start_mark
                 )
@@ -232,11 +236,16 @@ class _Loader(yaml.SafeLoader):
         return super().construct_mapping(node, deep)
 
 
-_Loader.add_implicit_resolver(
-    "tag:yaml.org,2002:float",
-    re.compile(r"^[-+]?(?:[0-9]+(?:\.[0-9]*)?|\.[0-9]+)[eE][-+]?[0-9]+$"),
-    list("-+0123456789."),
-)
+class _Dumper(yaml.SafeDumper):
+    """Writes what :class:`_Loader` reads back: a text such as ``1e4`` in quotes."""
+
+
+for _class in (_Loader, _Dumper):
+    _class.add_implicit_resolver(
+        "tag:yaml.org,2002:float",
+        re.compile(r"^[-+]?(?:[0-9]+(?:\.[0-9]*)?|\.[0-9]+)[eE][-+]?[0-9]+$"),
+        list("-+0123456789."),
+    )
 
 
 def parse_yaml(text: str, origin: str) -> tuple[Any, dict[str, int]]:
@@ -253,11 +262,15 @@ def parse_yaml(text: str, origin: str) -> tuple[Any, dict[str, int]]:
         ScenarioError: not YAML, with the line.
     """
     lines: dict[str, int] = {}
+    visited: set[int] = set()
 
     def walk(node: yaml.Node, path: str, depth: int) -> None:
         if path in lines or depth > 8:
             return
         lines[path] = node.start_mark.line + 1
+        if id(node) in visited:  # an alias
+            return
+        visited.add(id(node))
         if isinstance(node, yaml.MappingNode):
             for key, value in node.value:
                 inner = f"{path}.{key.value}" if path else str(key.value)
@@ -278,9 +291,18 @@ def parse_yaml(text: str, origin: str) -> tuple[Any, dict[str, int]]:
         mark = error.problem_mark or error.context_mark
         place = f"{origin}:{mark.line + 1}" if mark else origin
         raise ScenarioError(f"{place}: not valid YAML: {error.problem or error.context}") from None
-    except (yaml.YAMLError, RecursionError, ValueError, TypeError) as error:
+    except (
+        yaml.YAMLError,
+        RecursionError,
+        ValueError,
+        TypeError,
+        ArithmeticError,
+        LookupError,
+        AttributeError,
+    ) as error:
+        # The library's own constructors raise all of these for values that do not fit an explicit tag.
         first = str(error).splitlines()[0] if str(error) else type(error).__name__
-        raise ScenarioError(f"{origin}: not valid YAML: {first}") from None
+        raise ScenarioError(f"{origin}: not valid YAML: {first[:120]}") from None
 
 
 def shipped_scenarios() -> dict[str, Path]:
@@ -309,14 +331,14 @@ def read_mapping(source: str) -> tuple[dict[str, Any], dict[str, int], str]:
         text = path.read_text(encoding="utf-8")
     except FileNotFoundError:
         raise ScenarioError(
-            f"no scenario file {source!r}; expected a path or the name of a shipped scenario; "
+            f"no scenario file {shown(source)}; expected a path or the name of a shipped scenario; "
             f"{suggestion(source, shipped)}"
         ) from None
     except UnicodeDecodeError:
         raise ScenarioError(f"{path}: not a text file in UTF-8; expected a scenario in YAML") from None
     except (OSError, ValueError) as error:
         reason = getattr(error, "strerror", None) or str(error)
-        raise ScenarioError(f"{source!r} cannot be read: {reason}; expected a scenario file") from None
+        raise ScenarioError(f"{shown(source)} cannot be read: {reason}; expected a scenario file") from None
     data, lines = parse_yaml(text, path.name)
     if not isinstance(data, dict):
         raise ScenarioError(f"{path.name}: expected a mapping with keys such as robot, controller, duration")
@@ -341,7 +363,11 @@ def load(source: str, overrides: Sequence[str] = (), controller: str | None = No
         overrides = [f"controller.type={controller}", *overrides]
     for text in overrides:
         apply_override(data, text)
-        places[text.partition("=")[0].strip()] = "--set"
+        path = text.partition("=")[0].strip()
+        places = {k: v for k, v in places.items() if k != path and not k.startswith(path + ".")}
+        places[path] = "--set"
+        if path.partition(".")[0] not in places:
+            places[path.partition(".")[0]] = "--set"
     return from_mapping(data, origin=origin, places=places)
 
 
@@ -355,37 +381,35 @@ def apply_override(data: dict[str, Any], text: str) -> None:
     """
     path, equals, value_text = text.partition("=")
     keys = path.strip().split(".")
+    label = path if len(path) <= 80 else path[:77] + "..."
     if not equals or not all(keys):
-        raise ScenarioError(f"--set {text!r}: expected path=value, e.g. observer.k1=10000")
-    value, _ = parse_yaml(value_text, f"--set {path}")
+        raise ScenarioError(f"--set {shown(text)}: expected path=value, e.g. observer.k1=10000")
+    value, _ = parse_yaml(value_text, f"--set {label}")
     node: Any = data
     for depth, key in enumerate(keys):
-        here = ".".join(keys[:depth]) or "the scenario"
-        last = depth == len(keys) - 1
+        here = ".".join(keys[:depth])[:80] or "the scenario"
+        index: Any = key
         if isinstance(node, list):
-            if not key.isdecimal() or int(key) >= len(node):
+            if not (key.isascii() and key.isdecimal()) or len(key) > 6 or int(key) >= len(node):
                 raise ScenarioError(
-                    f"--set {path}: {here} has {len(node)} entries, numbered from 0; {key!r} is not one"
+                    f"--set {label}: {here} has {len(node)} entries, numbered from 0; {shown(key)} is not one"
                 )
-            if last:
-                node[int(key)] = value
-            else:
-                node = node[int(key)]
-        elif isinstance(node, dict):
-            if last:
-                if key == "type" and node.get("type") != value:
-                    node.clear()
-                node[key] = value
-            else:
-                if isinstance(node.get(key), str):
-                    node[key] = {"type": node[key]}
-                node = node.setdefault(key, {})
-                if node is None:
-                    raise ScenarioError(
-                        f"--set {path}: {'.'.join(keys[: depth + 1])} is null; set it as a whole first"
-                    )
-        else:
-            raise ScenarioError(f"--set {path}: {here} is a single value; it has no {key!r} inside")
+            index = int(key)
+        elif not isinstance(node, dict):
+            raise ScenarioError(f"--set {label}: {here} is a single value; it has no {shown(key)} inside")
+        if depth == len(keys) - 1:
+            if key == "type" and node.get("type") != value:
+                node.clear()
+            node[index] = value
+            return
+        inner = node[index] if isinstance(node, list) else node.get(index, {})
+        if inner is None:
+            raise ScenarioError(
+                f"--set {label}: {'.'.join(keys[: depth + 1])} is null; set it as a whole first"
+            )
+        # A copy, as an alias in the file may stand for the same thing elsewhere.
+        node[index] = {"type": inner} if isinstance(inner, str) else copy.copy(inner)
+        node = node[index]
 
 
 def from_mapping(
@@ -414,7 +438,8 @@ def from_mapping(
     def check_keys(mapping: Mapping[Any, Any], path: str, known: Sequence[str]) -> None:
         for key in mapping:
             if key not in known:
-                inner = f"{path}.{key}" if path else str(key)
+                name = key if isinstance(key, str) and len(key) <= 60 else shown(key)
+                inner = f"{path}.{name}" if path else name
                 raise fail(inner, f"unknown key; {suggestion(str(key), known)}")
 
     def record(cls: type[Any], mapping: Mapping[str, Any], path: str, **more: Any) -> Any:
@@ -429,7 +454,7 @@ def from_mapping(
             value = {"type": value}
         if not isinstance(value, dict):
             raise fail(
-                path, f"{value!r} is not a component; expected a mapping with 'type' and its parameters"
+                path, f"{shown(value)} is not a component; expected a mapping with 'type' and its parameters"
             )
         if "type" not in value:
             raise fail(path, "has no 'type'; expected e.g. {type: " + _example(kind) + "}")
@@ -438,7 +463,9 @@ def from_mapping(
         except FtcmError as error:
             raise fail(f"{path}.type", str(error)) from None
         if cls is None:
-            raise fail(f"{path}.type", f"{value['type']!r} is not a name; expected e.g. {_example(kind)}")
+            raise fail(
+                f"{path}.type", f"{shown(value['type'])} is not a name; expected e.g. {_example(kind)}"
+            )
         parameters = {k: v for k, v in value.items() if k != "type"}
         check_keys(parameters, path, ["type", *specs(cls)])
         return cast(Component, record(cls, parameters, path))
@@ -448,7 +475,7 @@ def from_mapping(
         if value is None:
             return {}
         if not isinstance(value, dict):
-            raise fail(key, f"{value!r} is not a mapping")
+            raise fail(key, f"{shown(value)} is not a mapping")
         return value
 
     check_keys(rest, "", [*_COMPONENTS, "initial_state", "injection", *specs(Scenario)])
@@ -465,7 +492,7 @@ def from_mapping(
     for key, kind in _LISTS.items():
         entries = injection.get(key) or []
         if not isinstance(entries, list):
-            raise fail(f"injection.{key}", f"{entries!r} is not a list of components")
+            raise fail(f"injection.{key}", f"{shown(entries)} is not a list of components")
         parts[key] = tuple(component(v, f"injection.{key}.{i}", kind) for i, v in enumerate(entries))
     start = mapping_at("initial_state")
     check_keys(start, "initial_state", list(specs(InitialState)))
@@ -474,6 +501,6 @@ def from_mapping(
 
 
 def _example(kind: str) -> str:
-    examples = {"robot": "puma560", "reference": "vo_kang_cosine", "controller": "ftcm", "observer": "do", "sensor": "encoder",
-                "disturbance": "vo_kang_friction", "fault": "vo_kang_fault"}  # fmt: skip
+    examples = {"robot": "puma560", "reference": "vo_kang_cosine", "controller": "ftcm", "observer": "do",
+                "sensor": "encoder", "disturbance": "vo_kang_friction", "fault": "vo_kang_fault"}  # fmt: skip
     return examples[kind]

@@ -107,7 +107,7 @@ class Trace:
         found = [(0, self.scenario.controller)] if self.scenario else []
         first = int(self.time_ns[0]) if self.ticks else 0
         step = round(self.dt * 1e9)
-        for change in self.changes:
+        for change in sorted(self.changes, key=lambda c: c.tick):
             if change.kind == "controller":
                 found.append((max(0, change.tick - first // step), change.component))
         ends = [row for row, _ in found[1:]] + [self.ticks]

@@ -15,8 +15,12 @@ from ftcm_core.signals import Vector
 class NFTSMC(AccelerationLaw):
     """NFTSMC: v = ẍ_r - ϖ(q/l)|ė|^(2-l/q) sgn ė - (Σ+ξ) sgn σ, σ = e + |ė|^(l/q) sgn(ė)/ϖ (eq 46)."""
 
-    l: int = param(5, unit="-", at_least=1, doc="numerator l of the exponent l/q, odd", source="Table 1")  # noqa: E741
-    q: int = param(3, unit="-", at_least=1, doc="denominator q of the exponent l/q, odd", source="Table 1")
+    l: int = param(
+        5, unit="-", at_least=1, at_most=999, doc="numerator l of the exponent l/q, odd", source="Table 1"
+    )  # noqa: E741
+    q: int = param(
+        3, unit="-", at_least=1, at_most=999, doc="denominator q of the exponent l/q, odd", source="Table 1"
+    )
     varpi: float = param(2.0, unit="-", above=0.0, per_joint=True, doc="surface gain ϖ", source="Table 1")
     sigma_gain: float = param(
         20.0,
@@ -38,7 +42,7 @@ class NFTSMC(AccelerationLaw):
     def check(self) -> None:
         """The surface is non-singular for 1 < l/q < 2 only, l and q odd (Feng, Yu, Man 2002)."""
         if not 1 < self.l / self.q < 2:
-            raise ParameterError(f"l/q = {self.l}/{self.q} is out of range; expected 1 < l/q < 2")
+            raise ParameterError(f"l: l/q = {self.l}/{self.q} is out of range; expected 1 < l/q < 2")
         for name in ("l", "q"):
             if getattr(self, name) % 2 == 0:
                 raise ParameterError(f"{name}: {getattr(self, name)} is even; expected an odd whole number")

@@ -60,7 +60,7 @@ class PID(Controller):
         disturbance_estimate: Vector,
         state: State,
     ) -> tuple[Vector, State]:
-        """Gravity plus PID torque; the integral advances by forward Euler and is clamped."""
+        """Gravity plus PID torque; the clamped integral advances by forward Euler."""
         u, following = [], []
         for p, g, q, v, qr, vr, (integral,) in zip(
             joint_parameters(self, robot.joints),
@@ -72,6 +72,7 @@ class PID(Controller):
             state,
         ):
             e = q - qr
+            integral = max(-p.integral_limit, min(p.integral_limit, integral))  # new limits hold at once
             u.append(g - p.kp * e - p.kd * (v - vr) - integral)
-            following.append((max(-p.integral_limit, min(p.integral_limit, integral + dt * p.ki * e)),))
+            following.append((integral + dt * p.ki * e,))
         return tuple(u), tuple(following)

@@ -27,9 +27,12 @@ def super_twisting(
 
 
 def implicit_super_twisting(
-    sigma: float, eta: float, upsilon1: float, upsilon2: float, dt: float
+    sigma: float, eta: float, upsilon1: float, upsilon2: float, dt: float, h: float
 ) -> tuple[float, float]:
-    """u_r = Υ1 |σ⁺|^½ sgn σ⁺ + η⁺ with σ⁺ = σ - dt u_r, η⁺ ∈ η + dt Υ2 Sgn σ⁺: eq 33 by backward Euler.
+    """u_r = Υ1 |z|^½ sgn z + 2 h Υ2 ξ + η, η⁺ = η + dt Υ2 ξ, z + h Υ1 |z|^½ sgn z + h² Υ2 ξ = σ, ξ ∈ Sgn z.
+
+    Backward Euler of eq 33 in closed loop: with σ⁺ = σ + dt (w - u_r) and h = dt, z and ζ = w - η follow
+    z⁺ = z + h (ζ⁺ - Υ1 |z⁺|^½ sgn z⁺), ζ⁺ = ζ + Δw - h Υ2 Sgn z⁺, and σ = z + h ζ.
 
     Args:
         sigma: sliding variable σ at t_k, rad/s.
@@ -37,18 +40,18 @@ def implicit_super_twisting(
         upsilon1: gain Υ1, (rad/s)^½/s.
         upsilon2: gain Υ2, rad/s³.
         dt: tick length, s.
+        h: step of the backward Euler method, s; at least dt.
 
     Returns:
         u_r, rad/s², to be subtracted from the commanded acceleration; and η at t_{k+1}.
     """
-    # σ⁺ + dt Υ1 |σ⁺|^½ sgn σ⁺ + dt² Υ2 Sgn σ⁺ ∋ σ - dt η: a quadratic in |σ⁺|^½, or σ⁺ = 0.
-    b = sigma - dt * eta
-    rest = abs(b) - dt * dt * upsilon2
-    if rest <= 0.0:
-        return sigma / dt, sigma / dt
-    root = 2.0 * rest / (dt * upsilon1 + math.sqrt(dt * dt * upsilon1 * upsilon1 + 4.0 * rest))
-    following = eta + dt * upsilon2 * sgn(b)
-    return upsilon1 * root * sgn(b) + following, following
+    rest = abs(sigma) - h * h * upsilon2
+    if rest <= 0.0:  # z = 0: the set-valued sign takes whatever value is needed
+        return eta + 2.0 * sigma / h, eta + dt * sigma / (h * h)
+    # The positive root of z + h Υ1 z^½ = rest, for z^½.
+    root = 2.0 * rest / (h * upsilon1 + math.sqrt(h * h * upsilon1 * upsilon1 + 4.0 * rest))
+    sign = sgn(sigma)
+    return (upsilon1 * root + 2.0 * h * upsilon2) * sign + eta, eta + dt * upsilon2 * sign
 
 
 def least_upsilon2(upsilon1: float, pi: float) -> float:

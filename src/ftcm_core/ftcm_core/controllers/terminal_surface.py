@@ -79,8 +79,9 @@ def surface_rate(
 
 
 def switch_error(gamma1: float, gamma2: float, alpha: float) -> float:
-    """φ = (γ2/γ1)^(1/(1-α)), rad (below eq 8)."""
-    return float((gamma2 / gamma1) ** (1.0 / (1.0 - alpha)))
+    """φ = (γ2/γ1)^(1/(1-α)), rad (below eq 8); in logarithms, which no gains overflow."""
+    exponent = (math.log(gamma2) - math.log(gamma1)) / (1.0 - alpha)
+    return math.exp(max(-700.0, min(700.0, exponent)))
 
 
 def settling_time_bound(e0: float, gamma1: float, gamma2: float, alpha: float) -> float:
@@ -100,7 +101,7 @@ def settling_time_bound(e0: float, gamma1: float, gamma2: float, alpha: float) -
     phi = switch_error(gamma1, gamma2, alpha)
     z = abs(e0)
     second = float(min(z, phi) ** (1.0 - alpha)) / (gamma2 * (1.0 - alpha))
-    return (math.log(z / phi) / gamma1 if z > phi else 0.0) + second
+    return ((math.log(z) - math.log(phi)) / gamma1 if z > phi else 0.0) + second
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -19,7 +19,7 @@ class EncoderState(NamedTuple):
 
     key: float
     """Stream of the noise."""
-    count: float
+    taken: float
     """Measurements taken."""
     position: Vector
     """Last measured positions, rad."""
@@ -67,7 +67,7 @@ class Encoder(Sensor):
     ) -> tuple[Vector, Vector, EncoderState]:
         """Measure positions, difference them, filter; the first velocity is zero, whatever the true one."""
         joints = len(position)
-        first = joints * state.count
+        first = joints * state.taken
         measured = tuple(
             [
                 encode(q + (p.noise * gaussian(state.key, first + j) if p.noise else 0.0), p.resolution)
@@ -82,7 +82,7 @@ class Encoder(Sensor):
                 )
             ]
         )
-        return measured, estimate, EncoderState(state.key, state.count + 1.0, measured, estimate)
+        return measured, estimate, EncoderState(state.key, state.taken + 1.0, measured, estimate)
 
 
 def encode(q: float, resolution: float) -> float:

@@ -115,8 +115,10 @@ class PlantNode(SuiteNode):
         return self._answered
 
     def _recorder_behind(self) -> bool:
-        window = self.recorder_window * self.scenario.dt_ns
-        return 0 < window < self.time_ns - self._recorded_ns and self.mode == "lockstep"
+        if self.mode != "lockstep" or self.recorder_window == 0:
+            return False
+        window = 0 if self.tick == self.scenario.last_tick else self.recorder_window
+        return self.time_ns - self._recorded_ns > window * self.scenario.dt_ns
 
     def _on_input(self) -> None:
         """An input of this tick has come: with both, integrate at once, ahead of the deadline."""

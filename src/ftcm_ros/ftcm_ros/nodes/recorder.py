@@ -19,7 +19,7 @@ from ftcm_ros.topics import RECORD, RECORDED, Topic
 ACKNOWLEDGE_TICKS = 100
 """How often the recorder says how far it is."""
 FLUSH_SECONDS = 0.5
-QUIET_SECONDS = 0.5
+QUIET_SECONDS = 1.0
 """At the end of a run, how long nothing may come before the bag is closed incomplete."""
 
 
@@ -82,7 +82,8 @@ class RecorderNode(SuiteNode):
         done = recording.complete_to
         if done is not None:
             self.ticks = done // self.scenario.dt_ns + 1
-            if not 0 <= self.ticks - self._acknowledged < ACKNOWLEDGE_TICKS:
+            behind = self.ticks - self._acknowledged
+            if not 0 <= behind < ACKNOWLEDGE_TICKS or (behind and self.ticks > self.scenario.last_tick):
                 self._acknowledged = self.ticks
                 sec, nanosec = divmod(done, NANOSECONDS)
                 self._acknowledge(Time(sec=sec, nanosec=nanosec))
