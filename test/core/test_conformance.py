@@ -388,5 +388,5 @@ def test_fault_is_zero_up_to_its_onset(name: str, s: Sample, fraction: float, pr
     one, three = (
         cls(start=start, profile=profile, severity=x).torque(start + 1.0, q, v, u) for x in (1.0, 3.0)
     )
-    assert three == pytest.approx(tuple(3.0 * x for x in one), rel=1e-15)
+    assert three == pytest.approx(tuple(3.0 * x for x in one), rel=1e-14)
     assert cls(start=start, severity=0.0).torque(start + 1.0, q, v, u) == (0.0,) * JOINTS

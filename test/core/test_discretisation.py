@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The discrete-time forms of the proposed law: docs/discretisation.md, its claims and its table of results."""
+"""The discrete-time forms of the proposed law: the claims of docs/discretisation.md and its table."""
 
 from __future__ import annotations
 
@@ -97,8 +97,9 @@ def test_explicit_is_the_printed_law_bit_for_bit(e: float, de: float, eta: float
 def test_resolvent_solves_its_equation(x: float, h: float, p: FTCM) -> None:
     """y + h g(y) = x to 1e-12 of x, g(y) the paper's surface at y, both odd in x."""
     y, g = resolvent(x, h, *shape(p))
-    assert abs(y + h * g - x) <= 1e-12 * abs(x) + 5e-324
-    assert g == pytest.approx(surface(y, 0.0, *shape(p)), rel=1e-12, abs=1e-300)
+    assert abs(y + h * g - x) <= 1e-12 * abs(x) + 1e-320
+    if abs(y) > 1e-250:  # below, s = |y|^α is a normal number and y is not
+        assert g == pytest.approx(surface(y, 0.0, *shape(p)), rel=1e-12)
     assert resolvent(-x, h, *shape(p)) == (-y, -g)
 
 
@@ -169,7 +170,7 @@ def test_sliding_variable_stays_within_slope_times_dt_squared() -> None:
 
 
 def test_nominal_loop_comes_to_rest() -> None:
-    """Without disturbance the error goes to zero to the last digits, and stays, where the printed law chatters."""
+    """Without disturbance the error goes to zero to the last digits, and stays there."""
     rows = double_integrator(FTCM(discretisation="implicit"), np.zeros(4000), -0.5, 0.0)
     assert np.abs(rows[3000:, :2]).max() < 1e-15
 
@@ -266,7 +267,7 @@ def test_page_has_the_rows_that_matter() -> None:
 def test_without_chattering_in_the_paper(
     common: list[str], horizon: float, peak: float, table: float
 ) -> None:
-    """A hundredth of the explicit form's torque variation; steady tracking better, the transient hardly worse."""
+    """A hundredth of the explicit form's torque variation, half its steady error, its transient to 2 %."""
     implicit = ["controller.discretisation=implicit", f"controller.horizon={horizon}"]
     old, new = (measure(simulate(load("paper", [*common, *more]))) for more in ([], implicit))
     assert np.all(np.array(new[0]) < 0.01 * np.array(old[0]))
@@ -279,9 +280,9 @@ def test_without_chattering_in_the_paper(
 
 @pytest.mark.slow
 def test_what_variation_remains_is_the_motions_own() -> None:
-    """Of every 50th torque alone the variation is the same to 5 %: nothing is left between."""
-    trace = simulate(load("paper", ["controller.discretisation=implicit"]))
-    u = trace.command[1000:]
-    every = np.abs(np.diff(u, axis=0)).sum(axis=0)
-    fiftieth = np.abs(np.diff(u[::50], axis=0)).sum(axis=0)
-    assert every == pytest.approx(fiftieth, rel=0.05)
+    """But for the second of the fault's onset, that of every 50th torque alone is the same to 2 %."""
+    command = simulate(load("paper", ["controller.discretisation=implicit"])).command
+    for u in (command[1000:10_000], command[11_000:]):
+        every = np.abs(np.diff(u, axis=0)).sum(axis=0)
+        fiftieth = np.abs(np.diff(u[::50], axis=0)).sum(axis=0)
+        assert every == pytest.approx(fiftieth, rel=0.02)

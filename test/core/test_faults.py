@@ -93,7 +93,7 @@ def test_injector_adds_all_sources_for_the_torque_the_drive_applies() -> None:
     assert free.torque[1] - limited.torque[1] == pytest.approx(share * 950.0, rel=1e-13)
     assert (free.torque[0], free.torque[2]) == (limited.torque[0], limited.torque[2])
     alone = [s.torque(t_ns / 1e9, q, v, u) for s in sources]
-    assert free.torque == pytest.approx(np.sum(alone, axis=0), rel=1e-15)
+    assert free.torque == pytest.approx(np.sum(alone, axis=0), rel=1e-14)
     assert InjectorStage((), 3, None).step(t_ns, q, v, u) == TrueDisturbance(ZERO)
 
 

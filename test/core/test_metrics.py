@@ -122,7 +122,7 @@ def test_saturation_share() -> None:
 
 
 def test_observer_metrics() -> None:
-    """Δ - Δ̂ = -M⁻¹ (d + tau_hat), here for a d that is three times as large in one tick: zero for tau_hat = -d."""
+    """Δ - Δ̂ = -M⁻¹ (d + tau_hat), for a d three times as large in one tick; zero for tau_hat = -d."""
     robot, q = Puma560(), (0.3, -0.4, 0.7)
     d = np.outer(ALTERNATING * (1.0 + 2.0 * SINGLE), [1.0, 2.0, -3.0])
     size = np.abs(robot.inertia_acceleration(q, (1.0, 2.0, -3.0)))
@@ -209,7 +209,7 @@ def test_result_is_complete_and_serialisable() -> None:
     assert (found["scenario"], found["controller"], found["observer"]) == ("paper", "ftcm", "do")
     assert (found["status"], found["detail"], found["ticks"]) == ("completed", "", 101)
     assert found["first_torque"] == trace.command[0].tolist()
-    assert found["settling_time_bound"] == pytest.approx([0.5**0.4 / 0.8] * 3, rel=1e-15)
+    assert found["settling_time_bound"] == pytest.approx([0.5**0.4 / 0.8] * 3, rel=1e-14)
     assert found["changes"][0]["tick"] == 50
     assert (found["changes"][0]["kind"], found["changes"][0]["type"]) == ("controller", "smc")
     assert found["configuration"] == load("paper", ["duration=0.1"]).to_mapping()

@@ -42,6 +42,7 @@ def test_step_is_eq_27_by_forward_euler(before: Measurement, now: Measurement, a
 
 def test_poles() -> None:
     """Table 1's gains: -100 ± 100j, damping 0.7; the step is linear, its matrix is I + dt A."""
+    assert DO().values == {"k1": K1, "k2": K2}
     columns = [observer_step(K1, K2, w, d, 0.0, 0.0, DT) for w, d in ((1.0, 0.0), (0.0, 1.0))]
     poles = np.linalg.eigvals((np.array(columns).T - np.eye(2)) / DT)
     assert sorted(poles, key=np.imag) == pytest.approx([-100 - 100j, -100 + 100j], rel=1e-12)

@@ -278,6 +278,8 @@ paths = st.lists(
 @example(["injection.faults." + "9" * 5000 + "=3"])
 @example(["observer.k1=!!int ''"])
 @example(["a\nb=1"])
+@example(["k" * 5000 + "=1", "k" * 5000 + ".x=1"])
+@example(["k" * 5000 + "=", "k" * 5000 + ".x=1"])
 def test_garbage_overrides(overrides: list[str]) -> None:
     """One to three --set texts on a good scenario."""
     data = copy.deepcopy(PAPER)

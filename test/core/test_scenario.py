@@ -256,7 +256,7 @@ def test_mistake_in_a_file(tmp_path: Path, old: str, new: str, message: str) -> 
         ("just text", ": expected a mapping"),
         ("- robot: puma560", ": expected a mapping"),
         ("{}", ": robot: is missing"),
-        ("k" * 5000 + ": 1", ":1: kkk"),
+        ("? " + "k" * 5000 + "\n: 1", "kkk"),
         ("robot: {type: puma560\ndt: 1\n", ":2: not valid YAML: "),
         ("robot: a\n\trobot: b\n", ":2: not valid YAML: "),
         ("robot: a: b", ":1: not valid YAML: "),

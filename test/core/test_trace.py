@@ -61,7 +61,7 @@ def test_controllers_in_force(trace: Trace, order: int) -> None:
     s, e, de = trace.sliding_variable, trace.error, trace.velocity_error
     assert s[5, 1] == ftcm.sliding_variable(float(e[5, 1]), float(de[5, 1]), 1)
     assert np.isnan(s[10:20]).all()
-    assert s[20:] == pytest.approx(de[20:] + np.array([1, 2, 3]) * e[20:], rel=1e-15)
+    assert s[20:] == pytest.approx(de[20:] + np.array([1, 2, 3]) * e[20:], rel=1e-14)
 
 
 def test_controllers_of_part_of_a_run(trace: Trace) -> None:

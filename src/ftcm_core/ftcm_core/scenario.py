@@ -405,7 +405,7 @@ def apply_override(data: dict[str, Any], text: str) -> None:
         inner = node[index] if isinstance(node, list) else node.get(index, {})
         if inner is None:
             raise ScenarioError(
-                f"--set {label}: {'.'.join(keys[: depth + 1])} is null; set it as a whole first"
+                f"--set {label}: {'.'.join(keys[: depth + 1])[:80]} is null; set it as a whole first"
             )
         # A copy, as an alias in the file may stand for the same thing elsewhere.
         node[index] = {"type": inner} if isinstance(inner, str) else copy.copy(inner)

@@ -14,12 +14,68 @@ from __future__ import annotations
 
 from array import array
 from collections.abc import Callable, Sequence
+from typing import Any
 
 import numpy as np
 
 from ftcm_core.scenario import Scenario
-from ftcm_core.signals import seconds
-from ftcm_core.trace import COLUMNS, MEASURED, Change, Trace
+from ftcm_core.signals import NANOSECONDS, TrueDisturbance, Vector, seconds
+from ftcm_core.trace import COLUMNS, MEASURED, Array, Change, Trace
+
+
+class Loop:
+    """The stages of one run and the tick that composes them."""
+
+    def __init__(self, scenario: Scenario) -> None:
+        """Start at the scenario's initial state."""
+        self.plant = scenario.plant_stage()
+        self.observer = scenario.observer_stage()
+        self.controller = scenario.controller_stage()
+        self.injector = scenario.injector_stage()
+        self.exact = scenario.sensor.exact
+
+    def act(self, time_ns: int) -> tuple[Vector, Vector, TrueDisturbance]:
+        """Everything of a tick before the plant moves: measure, observe, control, disturb.
+
+        Args:
+            time_ns: t_k, ns.
+
+        Returns:
+            What is recorded (:data:`~ftcm_core.trace.COLUMNS`, then, unless the sensor is exact,
+            :data:`~ftcm_core.trace.MEASURED`), u_k (N·m) and d_k (N·m).
+        """
+        plant = self.plant
+        y = plant.measure()
+        tau_hat = self.observer.step(y)
+        u, reference = self.controller.step(time_ns, y, tau_hat)
+        d = self.injector.step(time_ns, plant.position, plant.velocity, u)
+        row = (
+            plant.position + plant.velocity + y.effort + tau_hat + u + d.torque + reference[0] + reference[1]
+        )
+        return (row if self.exact else row + y.position + y.velocity), u, d
+
+    def tick(self, time_ns: int, last: bool, record: Callable[[Vector], object]) -> str:
+        """Run one tick and move the plant, unless it is the last.
+
+        Args:
+            time_ns: t_k, ns.
+            last: whether the run ends with this tick.
+            record: takes the tick's row.
+
+        Returns:
+            Why the run counts as diverged, with the time; empty while it does not.
+        """
+        try:
+            row, u, d = self.act(time_ns)
+            record(row)
+            if last:
+                return ""
+            self.plant.step(u, d)
+        except (ArithmeticError, ValueError) as error:  # a law driven out of its domain: overflow, log(0), ...
+            return f"at t = {seconds(time_ns):g} s: {error}"
+        if self.plant.diverged:
+            return f"at t = {seconds(time_ns + round(self.plant.dt * NANOSECONDS)):g} s: {self.plant.diverged}"
+        return ""
 
 
 def simulate(
@@ -37,63 +93,52 @@ def simulate(
     Returns:
         The trace; a run that diverges ends there, with its status and the time.
     """
-    plant = scenario.plant_stage()
-    observer = scenario.observer_stage()
-    controller = scenario.controller_stage()
-    injector = scenario.injector_stage()
+    loop = Loop(scenario)
     swaps: dict[int, list[Change]] = {}
     for change in changes:
         swaps.setdefault(change.tick, []).append(change)
-    joints, dt_ns, last = scenario.robot.joints, scenario.dt_ns, scenario.last_tick
+    dt_ns, last = scenario.dt_ns, scenario.last_tick
     rows = array("d")
-    record = rows.extend
-    measured = array("d")
-    record_measured = None if scenario.sensor.exact else measured.extend
-    status, detail = "completed", ""
+    tick, record = loop.tick, rows.extend
+    diverged = ""
     for k in range(last + 1):
-        time_ns = k * dt_ns
-        for change in swaps.get(k, ()):
-            (controller if change.kind == "controller" else observer).swap(change.component)
-        try:
-            y = plant.measure()
-            tau_hat = observer.step(y)
-            u, reference = controller.step(time_ns, y, tau_hat)
-            d = injector.step(time_ns, plant.position, plant.velocity, u)
-            record(
-                plant.position
-                + plant.velocity
-                + y.effort
-                + tau_hat
-                + u
-                + d.torque
-                + reference[0]
-                + reference[1]
-            )
-            if record_measured:
-                record_measured(y.position + y.velocity)
-            if k < last:
-                plant.step(u, d)
-        except (
-            ArithmeticError,
-            ValueError,
-        ) as error:  # a law driven out of its domain: overflow, log(0), ...
-            status, detail = "diverged", f"at t = {seconds(time_ns):g} s: {error}"
-            break
-        if plant.diverged:
-            status, detail = "diverged", f"at t = {seconds(time_ns + dt_ns):g} s: {plant.diverged}"
+        if k in swaps:
+            for change in swaps[k]:
+                (loop.controller if change.kind == "controller" else loop.observer).swap(change.component)
+        diverged = tick(k * dt_ns, k == last, record)
+        if diverged:
             break
         if progress and k % 1000 == 0:
             progress(k, last)
-    table = np.frombuffer(rows, dtype=np.float64).reshape(-1, len(COLUMNS), joints)
-    seen = np.frombuffer(measured, dtype=np.float64).reshape(-1, len(MEASURED), joints)
-    return Trace(
+    return to_trace(scenario, np.frombuffer(rows, dtype=np.float64), diverged, changes)
+
+
+def to_trace(
+    scenario: Scenario,
+    rows: Array,
+    diverged: str,
+    changes: Sequence[Change] = (),
+    kind: type[Trace] = Trace,
+) -> Trace:
+    """Make a trace of recorded rows.
+
+    Args:
+        scenario: what ran.
+        rows: the rows of all ticks, one after the other.
+        diverged: why the run ended early; empty if it did not.
+        changes: what was swapped in.
+        kind: class of the trace.
+    """
+    names = [*COLUMNS] if scenario.sensor.exact else [*COLUMNS, *MEASURED]
+    table = rows.reshape(-1, len(names), scenario.robot.joints)
+    columns: dict[str, Any] = {name: np.ascontiguousarray(table[:, i]) for i, name in enumerate(names)}
+    return kind(
         joint_names=scenario.robot.joint_names,
         dt=scenario.dt,
-        time_ns=np.arange(len(table), dtype=np.int64) * dt_ns,
-        **{name: np.ascontiguousarray(table[:, i]) for i, name in enumerate(COLUMNS)},
-        **{name: np.ascontiguousarray(seen[:, i]) for i, name in enumerate(MEASURED) if record_measured},
+        time_ns=np.arange(len(table), dtype=np.int64) * scenario.dt_ns,
+        **columns,
         scenario=scenario,
-        status=status,
-        detail=detail,
+        status="diverged" if diverged else "completed",
+        detail=diverged,
         changes=tuple(changes),
     )

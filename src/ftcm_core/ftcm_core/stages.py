@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from operator import add
 from typing import Any
 
 from ftcm_core.controllers import Controller
@@ -85,12 +86,12 @@ class PlantStage:
         Sets ``diverged`` when the torque is not finite or a joint is faster than any can be.
         """
         self.effort = saturate(self._delay.step(u), self.torque_limits)
-        tau = tuple(map(float.__add__, self.effort, d.torque))
+        tau = tuple(map(add, self.effort, d.torque))
         if not math.isfinite(sum(u) + sum(tau)):
             self.diverged = f"torque is not finite: command {list(u)} N·m, disturbance {list(d.torque)} N·m"
             return
         self.position, self.velocity = rk4(self.robot, self.dt, self.position, self.velocity, tau)
-        if not all([-SPEED_LIMIT < v < SPEED_LIMIT for v in self.velocity]):
+        if not all(-SPEED_LIMIT < v < SPEED_LIMIT for v in self.velocity):
             self.diverged = f"joint velocity {list(self.velocity)} rad/s is beyond {SPEED_LIMIT:g} rad/s"
             return
         self._sense()
@@ -220,5 +221,5 @@ class InjectorStage:
         applied = saturate(self._delay.step(u), self.torque_limits)
         total: Vector = (0.0,) * self.joints
         for source in self.sources:
-            total = tuple(map(float.__add__, total, source.torque(t, position, velocity, applied)))
+            total = tuple(map(add, total, source.torque(t, position, velocity, applied)))
         return TrueDisturbance(total)

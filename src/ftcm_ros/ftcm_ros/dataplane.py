@@ -70,7 +70,9 @@ class DataPlane:
         self._node = node
         self._path = path
         self._group = _NoExecutor() if path == "waitset" else MutuallyExclusiveCallbackGroup()
-        self._subscriptions: list[tuple[Subscription, Any, Handler]] = []
+        self._subscriptions: list[Subscription] = []
+        self._taken: list[tuple[Topic, Any, Any, Handler]] = []
+        """Topic, rclpy handle, message class and handler of each subscription, in order of declaration."""
         self._publishers: list[tuple[Topic, Publisher]] = []
         self._wait_set: Any = None
         self._executor = SingleThreadedExecutor(context=node.context)
@@ -86,7 +88,8 @@ class DataPlane:
         made = self._node.create_subscription(
             cls, topic.name, callback, qos(topic), callback_group=self._group, raw=True
         )
-        self._subscriptions.append((made, cls, handler))
+        self._subscriptions.append(made)
+        self._taken.append((topic, made.handle, cls, handler))
 
     def publisher(self, topic: Topic) -> Callable[[Any], None]:
         """Return a function that publishes a message object or its serialized bytes."""
@@ -114,36 +117,47 @@ class DataPlane:
         if self._thread is not None:
             self._thread.join(timeout=1.0)
 
-    def poll(self, timeout_ns: int) -> None:
-        """Wait at most so long for messages and hand all that are here to their handlers."""
+    def poll(self, timeout_ns: int, trigger: Topic | None = None) -> None:
+        """Wait at most so long for messages, then hand what is here to the handlers, one of each topic.
+
+        Args:
+            timeout_ns: longest wait, ns.
+            trigger: wake up only for this topic, the last to come in a tick, instead of for every
+                message; the others are looked at then, and when the time is up.
+        """
         if self._wait_set is None:
             self._executor.spin_once(timeout_sec=timeout_ns / 1e9)
             return
         wait_set = self._wait_set
         wait_set.clear_entities()
-        for subscription, _, _ in self._subscriptions:
-            wait_set.add_subscription(subscription.handle)
+        for topic, handle, _, _ in self._taken:
+            if trigger is None or topic is trigger:
+                wait_set.add_subscription(handle)
         wait_set.wait(timeout_ns)
-        ready = wait_set.get_ready_entities("subscription")
-        if ready:
-            for subscription, cls, handler in self._subscriptions:
-                handle = subscription.handle
-                if handle.pointer in ready:
-                    while (taken := handle.take_message(cls, True)) is not None:
-                        handler(taken[0], taken[1]["received_timestamp"])
+        for _, handle, cls, handler in self._taken:
+            taken = handle.take_message(cls, True)
+            if taken is not None:
+                handler(taken[0], taken[1]["received_timestamp"])
+
+    def drain(self) -> None:
+        """Hand all messages that are here to the handlers, without waiting."""
+        if self._wait_set is None:
+            self._executor.spin_once(timeout_sec=0.0)
+            return
+        for _, handle, cls, handler in self._taken:
+            while (taken := handle.take_message(cls, True)) is not None:
+                handler(taken[0], taken[1]["received_timestamp"])
 
     def unmatched(self) -> str:
         """Which endpoint still waits for the suite's other nodes; empty when all are matched."""
         for topic, made in self._publishers:
             if (count := made.get_subscription_count()) < len(topic.subscribers):
                 return f"{topic.name} has {count} of {len(topic.subscribers)} subscribers {topic.subscribers}"
-        for made, _, _ in self._subscriptions:
+        for made in self._subscriptions:
             if made.get_publisher_count() == 0:
                 return f"{made.topic_name} has no publisher"
         return ""
 
     def has_publisher(self, topic: Topic) -> bool:
         """Whether anybody publishes a topic that this node subscribes."""
-        return any(
-            s.get_publisher_count() for s, _, _ in self._subscriptions if s.topic_name.endswith(topic.name)
-        )
+        return any(s.get_publisher_count() for s in self._subscriptions if s.topic_name.endswith(topic.name))

@@ -10,6 +10,7 @@ from __future__ import annotations
 
 from abc import abstractmethod
 from functools import lru_cache
+from operator import add
 from typing import Any, ClassVar
 
 from ftcm_core.registry import Component
@@ -112,7 +113,7 @@ class AccelerationLaw(Controller):
             following.append(s_next)
         u = robot.inverse_dynamics(y.position, y.velocity, tuple(acceleration))
         if self.needs_observer:
-            u = tuple(map(float.__add__, u, disturbance_estimate))
+            u = tuple(map(add, u, disturbance_estimate))
         return u, tuple(following)
 
     def sliding_variable(self, e: float, de: float, joint: int) -> float | None:

@@ -77,7 +77,8 @@ def resolvent(
         else:
             low = s
         rate = 2.0 * gamma1 * w1 * (1.0 + mu1 * (1.0 - w1) * y) - 2.0 * gamma2 * mu2 * w2 * (1.0 - w2) * s
-        s -= f / ((1.0 + h * rate) * y / (alpha * s) + 2.0 * h * gamma2 * w2)
-        if not low < s < high:
-            s = 0.5 * (low + high)
+        following = s - f / ((1.0 + h * rate) * y / (alpha * s) + 2.0 * h * gamma2 * w2)
+        if following == s:  # as near as floats come
+            break
+        s = following if low <= following <= high else 0.5 * (low + high)
     return (y, g) if x > 0.0 else (-y, -g)

@@ -15,9 +15,9 @@ from ftcm_core.signals import Vector
 class NFTSMC(AccelerationLaw):
     """NFTSMC: v = ẍ_r - ϖ(q/l)|ė|^(2-l/q) sgn ė - (Σ+ξ) sgn σ, σ = e + |ė|^(l/q) sgn(ė)/ϖ (eq 46)."""
 
-    l: int = param(
+    l: int = param(  # noqa: E741 (the paper's symbol)
         5, unit="-", at_least=1, at_most=999, doc="numerator l of the exponent l/q, odd", source="Table 1"
-    )  # noqa: E741
+    )
     q: int = param(
         3, unit="-", at_least=1, at_most=999, doc="denominator q of the exponent l/q, odd", source="Table 1"
     )

@@ -100,7 +100,8 @@ def settling_time_bound(e0: float, gamma1: float, gamma2: float, alpha: float) -
     """
     phi = switch_error(gamma1, gamma2, alpha)
     z = abs(e0)
-    second = float(min(z, phi) ** (1.0 - alpha)) / (gamma2 * (1.0 - alpha))
+    rate = gamma2 * (1.0 - alpha)
+    second = float(min(z, phi) ** (1.0 - alpha)) / rate if rate > 0.0 else math.inf
     return ((math.log(z) - math.log(phi)) / gamma1 if z > phi else 0.0) + second
 
 

@@ -276,6 +276,9 @@ class ReactiveNode(SuiteNode):
         self.age_ns = 0
         """How long the oldest input of the last tick had waited, ns."""
         self._arrived = 0
+        self._incomplete = False
+        """Whether the last input of a tick has come but not all others: wait for those too."""
+        self._inputs = {t.name: t for t in inputs}
         self._answer: list[tuple[Callable[[Any], None], bytes]] = []
         for topic in inputs:
             self.plane.subscribe(topic, self._handler(topic, needs[topic]))
@@ -297,6 +300,10 @@ class ReactiveNode(SuiteNode):
 
         return handle
 
+    def step(self) -> None:
+        """Wait for the last input of a tick, and take the others with it."""
+        self.plane.poll(POLL_NS, None if self._incomplete else self._inputs[self.aligner.required[-1]])
+
     def take(self, name: str, sample: JointSample) -> None:
         """Take one input; answer if its tick is complete."""
         time_ns, aligner = sample.time_ns, self.aligner
@@ -312,7 +319,9 @@ class ReactiveNode(SuiteNode):
         values = aligner.put(name, time_ns, sample)
         if values is None:
             self._arrived = begin
+            self._incomplete = name == aligner.required[-1]
             return
+        self._incomplete = False
         if before is not None and time_ns - before > self.scenario.dt_ns:
             self.gaps += (time_ns - before) // self.scenario.dt_ns - 1
         self._answer = self.answer(time_ns, values)

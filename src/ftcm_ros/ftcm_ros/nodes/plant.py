@@ -103,11 +103,16 @@ class PlantNode(SuiteNode):
         """One round: wait for the end of the tick, go on to the next."""
         if not self.active:
             self.plane.poll(POLL_NS)
-        elif self.pacer.wait(self._ready, self.plane.poll):
+        elif self.pacer.wait(self._ready, self._poll):
             self._end_of_tick()
         elif time.monotonic_ns() - self._published_at > ASK_AGAIN_NS and not self._answered:
             self.asked_again += 1
             self._publish_measurement()
+
+    def _poll(self, timeout_ns: int) -> None:
+        """Wait for the disturbance, which comes last, and take the torque with it."""
+        early = self._inputs[DISTURBANCE]["time_ns"] == self.time_ns and not self._answered
+        self.plane.poll(timeout_ns, None if early or self._recorder_behind() else DISTURBANCE)
 
     def _ready(self) -> bool:
         if self._recorder_behind():
