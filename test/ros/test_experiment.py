@@ -80,6 +80,20 @@ def test_the_ordinary_executor_and_sqlite3_give_the_same(experiment: Experiment,
     assert differing(bag.trace, simulate(load("paper", overrides, controller="smc"))) == []
 
 
+def test_sensor_and_delay_over_the_graph(experiment: Experiment, tmp_path: Path) -> None:
+    overrides = ["duration=0.5", "injection.faults.0.start=0.2", "sensor={type: encoder, noise: 1e-5}"]
+    overrides += ["torque_delay=2", "seed=7", "controller.discretisation=implicit"]
+    run = experiment("paper", "--controllers", "ftcm", *(a for o in overrides for a in ("--set", o)))
+    assert run.returncode == 0, run.stderr
+    bag = bag_of(tmp_path, "ftcm")
+    assert bag.missing == {}
+    again = simulate(load("paper", overrides))
+    assert differing(bag.trace, again) == []
+    assert again.measured_position is not None
+    assert np.array_equal(bag.trace.measured_position, again.measured_position)
+    assert np.array_equal(bag.trace.measured_velocity, again.measured_velocity)
+
+
 @pytest.mark.slow
 def test_the_paper_experiment_over_the_graph(experiment: Experiment, tmp_path: Path) -> None:
     run = experiment("paper", "--controllers", "ftcm")

@@ -123,7 +123,7 @@ def test_a_node_alone_is_active_and_stops_cleanly(start: Start, watcher: Any, na
 
 def test_nodes_by_hand_run_in_real_time_and_are_recorded(start: Start, watcher: Any, tmp_path: Path) -> None:
     scenario = tmp_path / "short.yaml"
-    text = "{robot: puma560, reference: vo_kang_cosine, controller: smc, observer: none, duration: 2, name: short}"
+    text = "{robot: puma560, reference: vo_kang_cosine, controller: smc, observer: none, duration: 2}"
     scenario.write_text(text)
     states: list[str] = []
 

@@ -27,10 +27,13 @@ from ftcm_ros.topics import (
     DIAGNOSTICS,
     DISTURBANCE,
     ESTIMATE,
+    EVENTS,
     JOINT_STATES,
     REFERENCE,
     SCENARIO,
     TORQUES,
+    TRUE_STATE,
+    data_topics,
 )
 
 _SOURCES = {
@@ -93,9 +96,13 @@ def read_bag(path: Path, scenario: Scenario | None = None) -> BagContents:
     runs = _keep_last_run(decoded, received)
     stamps = np.unique(np.concatenate([times for times, _ in decoded.values()]))
     dt_ns = scenario.dt_ns if scenario else int(np.median(np.diff(stamps))) if len(stamps) > 1 else 1_000_000
-    columns = {column: _column(decoded, stamps, len(names), *_SOURCES[column]) for column in COLUMNS}
+    columns: dict[str, Any] = {c: _column(decoded, stamps, len(names), *_SOURCES[c]) for c in COLUMNS}
+    if TRUE_STATE.name in decoded:
+        for i, column in enumerate(("position", "velocity")):
+            columns[f"measured_{column}"] = columns[column]
+            columns[column] = _column(decoded, stamps, len(names), TRUE_STATE.name, i)
     missing = {}
-    for topic in DATA:
+    for topic in data_topics(scenario):
         have = len(np.unique(decoded[topic.name][0])) if topic.name in decoded else 0
         expected = round((int(stamps[-1]) - int(stamps[0])) / dt_ns) + 1
         if have < expected:
@@ -115,7 +122,7 @@ def read_bag(path: Path, scenario: Scenario | None = None) -> BagContents:
 def _read_messages(
     path: Path,
 ) -> tuple[dict[str, list[bytes]], dict[str, npt.NDArray[np.int64]], dict[str, str]]:
-    wanted = {t.name for t in DATA} | {CHANGES.name, SCENARIO.name, DIAGNOSTICS.name.lstrip("/")}
+    wanted = {t.name.lstrip("/") for t in (*DATA, TRUE_STATE, *EVENTS)}
     if not path.exists():
         raise FtcmError(f"no bag {str(path)!r}; expected the folder of a rosbag2 bag")
     raw: dict[str, list[bytes]] = defaultdict(list)

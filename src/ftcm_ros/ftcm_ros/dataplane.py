@@ -14,6 +14,7 @@ import contextlib
 import importlib
 import sys
 import threading
+import time
 from collections.abc import Callable
 from typing import Any
 
@@ -25,7 +26,8 @@ from rclpy.publisher import Publisher
 from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
 from rclpy.subscription import Subscription
 
-from ftcm_ros.topics import DEPTH, Topic
+from ftcm_core.scenario import Scenario
+from ftcm_ros.topics import DEPTH, Topic, subscribers
 
 Handler = Callable[[bytes, int], None]
 """Takes one serialized message and the time it was received (system clock, ns)."""
@@ -70,6 +72,7 @@ class DataPlane:
         self._node = node
         self._path = path
         self._group = _NoExecutor() if path == "waitset" else MutuallyExclusiveCallbackGroup()
+        self._wanted: list[tuple[Topic, Handler]] = []
         self._subscriptions: list[Subscription] = []
         self._taken: list[tuple[Topic, Any, Any, Handler]] = []
         """Topic, rclpy handle, message class and handler of each subscription, in order of declaration."""
@@ -79,17 +82,30 @@ class DataPlane:
         self._thread: threading.Thread | None = None
 
     def subscribe(self, topic: Topic, handler: Handler) -> None:
-        """Hand every message of a topic to a handler, serialized, on the main thread."""
+        """Hand every message of a topic to a handler, serialized, on the main thread, once opened."""
+        self._wanted.append((topic, handler))
 
-        def callback(data: bytes, info: Any) -> None:
-            handler(data, info["received_timestamp"])
+    def open(self) -> None:
+        """Make the subscriptions, if that has not been done.
 
-        cls = message_class(topic.type)
-        made = self._node.create_subscription(
-            cls, topic.name, callback, qos(topic), callback_group=self._group, raw=True
-        )
-        self._subscriptions.append(made)
-        self._taken.append((topic, made.handle, cls, handler))
+        A writer serves its readers in the order in which they were matched, at some 25 µs each. So
+        whoever configures the nodes in the order of the tick gets the shortest chain.
+        """
+        for topic, handler in self._wanted:
+            cls = message_class(topic.type)
+
+            def callback(data: bytes, info: Any, handler: Handler = handler) -> None:
+                handler(data, info["received_timestamp"])
+
+            made = self._node.create_subscription(
+                cls, topic.name, callback, qos(topic), callback_group=self._group, raw=True
+            )
+            self._subscriptions.append(made)
+            self._taken.append((topic, made.handle, cls, handler))
+        if self._wanted and self._path == "waitset":
+            count = len(self._subscriptions)
+            self._wait_set = _rclpy.WaitSet(count, 0, 0, 0, 0, 0, self._node.context.handle)
+        self._wanted = []
 
     def publisher(self, topic: Topic) -> Callable[[Any], None]:
         """Return a function that publishes a message object or its serialized bytes."""
@@ -102,8 +118,6 @@ class DataPlane:
         self._executor.add_node(self._node)
         if self._path == "waitset":
             sys.setswitchinterval(SWITCH_INTERVAL)
-            count = len(self._subscriptions)
-            self._wait_set = _rclpy.WaitSet(count, 0, 0, 0, 0, 0, self._node.context.handle)
             self._thread = threading.Thread(target=self._serve, name="services", daemon=True)
             self._thread.start()
 
@@ -125,10 +139,13 @@ class DataPlane:
             trigger: wake up only for this topic, the last to come in a tick, instead of for every
                 message; the others are looked at then, and when the time is up.
         """
-        if self._wait_set is None:
+        if self._path == "executor":
             self._executor.spin_once(timeout_sec=timeout_ns / 1e9)
             return
         wait_set = self._wait_set
+        if wait_set is None:  # not opened yet
+            time.sleep(timeout_ns / 1e9)
+            return
         wait_set.clear_entities()
         for topic, handle, _, _ in self._taken:
             if trigger is None or topic is trigger:
@@ -141,21 +158,22 @@ class DataPlane:
 
     def drain(self) -> None:
         """Hand all messages that are here to the handlers, without waiting."""
-        if self._wait_set is None:
+        if self._path == "executor":
             self._executor.spin_once(timeout_sec=0.0)
             return
         for _, handle, cls, handler in self._taken:
             while (taken := handle.take_message(cls, True)) is not None:
                 handler(taken[0], taken[1]["received_timestamp"])
 
-    def unmatched(self) -> str:
+    def unmatched(self, scenario: Scenario) -> str:
         """Which endpoint still waits for the suite's other nodes; empty when all are matched."""
         for topic, made in self._publishers:
-            if (count := made.get_subscription_count()) < len(topic.subscribers):
-                return f"{topic.name} has {count} of {len(topic.subscribers)} subscribers {topic.subscribers}"
-        for made in self._subscriptions:
-            if made.get_publisher_count() == 0:
-                return f"{made.topic_name} has no publisher"
+            wanted = subscribers(topic, scenario)
+            if (count := made.get_subscription_count()) < len(wanted):
+                return f"{topic.name} has {count} of {len(wanted)} subscribers ({', '.join(wanted)})"
+        for subscription in self._subscriptions:
+            if subscription.get_publisher_count() == 0:
+                return f"{subscription.topic_name} has no publisher"
         return ""
 
     def has_publisher(self, topic: Topic) -> bool:

@@ -35,6 +35,8 @@ START_SECONDS = 30.0
 """How long a node may take to come up."""
 SILENCE_SECONDS = 5.0
 """How long a node may say nothing on /diagnostics before the run ends."""
+MATCHING_ORDER = ("observer", "controller", "injector", "plant", "recorder")
+"""Order of configuration: that of the tick, so that each message reaches first who acts on it next."""
 RECORDER_WINDOW = 1000
 """Ticks the plant may run ahead of the recorder in lockstep."""
 
@@ -131,7 +133,8 @@ class Run:
         self.bag.parent.mkdir(parents=True, exist_ok=True)
         for name in NODES:
             self.processes.start(name, {**common, **extra.get(name, {})})
-        self.transition("configure", NODES)
+        for name in MATCHING_ORDER:
+            self.transition("configure", (name,))
         others = tuple(n for n in NODES if n != "plant")
         self.transition("activate", others)
         self.heard = dict.fromkeys(NODES, time.monotonic())

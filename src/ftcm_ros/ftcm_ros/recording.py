@@ -16,7 +16,7 @@ from ftcm_core.errors import FtcmError
 from ftcm_core.provenance import provenance
 from ftcm_core.scenario import Scenario
 from ftcm_ros.codec import stamp_of
-from ftcm_ros.topics import DATA, DEPTH, RECORD, Topic
+from ftcm_ros.topics import DEPTH, EVENTS, Topic, data_topics
 
 STORAGE = {"mcap": StoragePlugin.MCAP, "sqlite3": StoragePlugin.SQLITE3}
 _FOREVER = QosTime(0x7FFFFFFFFFFFFFFF // 10**9, 0x7FFFFFFFFFFFFFFF % 10**9)
@@ -58,7 +58,7 @@ class Recording:
         """
         self.path = path
         self.scenario = scenario
-        self.counts = {topic.name: TopicCount() for topic in DATA}
+        self.counts = {topic.name: TopicCount() for topic in data_topics(scenario)}
         if path.exists():
             raise FtcmError(f"bag {str(path)!r} exists already; choose another name or remove it")
         self._writer = Writer(path, version=9, storage_plugin=STORAGE[storage])
@@ -74,7 +74,7 @@ class Recording:
                 typestore=typestore,
                 offered_qos_profiles=[_qos(topic)],
             )
-            for topic in RECORD
+            for topic in (*data_topics(scenario), *EVENTS)
         }
 
     def write(self, topic: Topic, received_ns: int, data: bytes) -> None:

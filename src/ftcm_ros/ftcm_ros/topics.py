@@ -5,6 +5,7 @@ from __future__ import annotations
 
 from typing import NamedTuple
 
+from ftcm_core.scenario import Scenario
 from ftcm_ros.codec import JOINT_STATE
 
 DEPTH = 4000
@@ -59,6 +60,13 @@ REFERENCE = Topic(
     ("recorder",),
     "position rad, velocity rad/s: desired motion",
 )
+TRUE_STATE = Topic(
+    "true_state",
+    JOINT_STATE,
+    ("plant",),
+    ("injector", "recorder"),
+    "position rad, velocity rad/s: the true motion; only where the scenario's sensor is not ideal",
+)
 CHANGES = Topic(
     "component_changes",
     _ARRAY,
@@ -93,7 +101,19 @@ CLOCK = Topic("/clock", "rosgraph_msgs/msg/Clock", ("plant",), (), "simulated ti
 
 DATA = (JOINT_STATES, ESTIMATE, TORQUES, DISTURBANCE, REFERENCE)
 """One message per tick each."""
-RECORD = (*DATA, CHANGES, SCENARIO, DIAGNOSTICS)
-"""What the recorder records."""
-TOPICS = (*RECORD, RECORDED, CLOCK)
+EVENTS = (CHANGES, SCENARIO, DIAGNOSTICS)
+"""Recorded besides."""
+TOPICS = (*DATA, TRUE_STATE, *EVENTS, RECORDED, CLOCK)
 """All topics of the suite."""
+
+
+def data_topics(scenario: Scenario | None) -> tuple[Topic, ...]:
+    """Topics with one message per tick in a run of this scenario."""
+    return DATA if scenario is None or scenario.sensor.exact else (*DATA, TRUE_STATE)
+
+
+def subscribers(topic: Topic, scenario: Scenario) -> tuple[str, ...]:
+    """Nodes of the suite that subscribe a topic in a run of this scenario."""
+    if topic is JOINT_STATES and not scenario.sensor.exact:  # the injector acts on the true motion
+        return tuple(n for n in topic.subscribers if n != "injector")
+    return topic.subscribers

@@ -28,7 +28,7 @@ from ftcm_ros.codec import CodecError, JointSample, JointStateCodec
 from ftcm_ros.dataplane import DataPlane
 from ftcm_ros.processes import end_with_parent
 from ftcm_ros.settings import setting
-from ftcm_ros.topics import DIAGNOSTICS, JOINT_STATES, Topic
+from ftcm_ros.topics import DIAGNOSTICS, Topic
 
 POLL_NS = NANOSECONDS // 50
 """How often a waiting node looks at other things, ns."""
@@ -77,7 +77,7 @@ class SuiteNode(LifecycleNode):
 
     def on_configure(self, state: LifecycleState) -> TransitionCallbackReturn:
         """Make the stage ready to begin a run."""
-        return self._transition(self.configure)
+        return self._transition(self._configure)
 
     def on_activate(self, state: LifecycleState) -> TransitionCallbackReturn:
         """Begin a run."""
@@ -94,6 +94,10 @@ class SuiteNode(LifecycleNode):
         result = self._transition(self._deactivate)
         self.stopping = True
         return result
+
+    def _configure(self) -> None:
+        self.plane.open()
+        self.configure()
 
     def _activate(self) -> None:
         self.ticks = 0
@@ -123,7 +127,7 @@ class SuiteNode(LifecycleNode):
 
     def _wait_for_graph(self) -> bool:
         end = time.monotonic() + MATCH_TIMEOUT
-        while missing := self.plane.unmatched():
+        while missing := self.plane.unmatched(self.scenario):
             if time.monotonic() > end or self.stopping:
                 self._failed(f"not activated: {missing} after {MATCH_TIMEOUT:g} s")
                 return False
@@ -260,16 +264,9 @@ def execution_level(times: dict[str, float]) -> str:
 class ReactiveNode(SuiteNode):
     """A stage that answers: when a tick's inputs are all here, it computes and publishes."""
 
-    def __init__(self, name: str, inputs: tuple[Topic, ...], needs: dict[Topic, tuple[str, ...]]) -> None:
-        """Subscribe the inputs.
-
-        Args:
-            name: node name.
-            inputs: topics that carry a value per tick.
-            needs: which arrays of each must be filled.
-        """
+    def __init__(self, name: str) -> None:
+        """Declare the common parameters; a subclass then calls :meth:`listen`."""
         super().__init__(name)
-        self.aligner = Aligner(tuple(t.name for t in inputs))
         self.times = ExecutionTimes()
         self.gaps = 0
         """Ticks skipped between two that were answered."""
@@ -278,10 +275,19 @@ class ReactiveNode(SuiteNode):
         self._arrived = 0
         self._incomplete = False
         """Whether the last input of a tick has come but not all others: wait for those too."""
-        self._inputs = {t.name: t for t in inputs}
         self._answer: list[tuple[Callable[[Any], None], bytes]] = []
-        for topic in inputs:
-            self.plane.subscribe(topic, self._handler(topic, needs[topic]))
+
+    def listen(self, needs: dict[Topic, tuple[str, ...]]) -> None:
+        """Say which topics carry a value per tick.
+
+        Args:
+            needs: per topic, which arrays must be filled; in the order in which a tick's messages come.
+        """
+        self._inputs = {t.name: t for t in needs}
+        self._first = next(iter(self._inputs))
+        self.aligner = Aligner(tuple(self._inputs))
+        for topic, arrays in needs.items():
+            self.plane.subscribe(topic, self._handler(topic, arrays))
 
     def _handler(self, topic: Topic, arrays: tuple[str, ...]) -> Callable[[bytes, int], None]:
         name = topic.name
@@ -311,7 +317,7 @@ class ReactiveNode(SuiteNode):
         if aligner.last is not None:
             if time_ns == 0 < aligner.last:  # tick 0 begins a run
                 self.configure()
-            elif time_ns == aligner.last and name == JOINT_STATES.name:  # the plant asks again
+            elif time_ns == aligner.last and name == self._first:  # the plant asks again
                 for publish, data in self._answer:
                     publish(data)
                 return

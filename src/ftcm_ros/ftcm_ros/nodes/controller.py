@@ -23,11 +23,8 @@ class ControllerNode(SwappableNode):
 
     def __init__(self) -> None:
         """Subscribe measurements and estimates, publish torques and the reference."""
-        super().__init__(
-            "controller",
-            (JOINT_STATES, ESTIMATE),
-            {JOINT_STATES: ("position", "velocity", "effort"), ESTIMATE: ("effort",)},
-        )
+        super().__init__("controller")
+        self.listen({JOINT_STATES: ("position", "velocity", "effort"), ESTIMATE: ("effort",)})
         self._publish = self.plane.publisher(TORQUES)
         self._publish_reference = self.plane.publisher(REFERENCE)
         self._zeros = (0.0,) * self.scenario.robot.joints

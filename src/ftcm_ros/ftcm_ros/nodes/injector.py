@@ -10,27 +10,30 @@ from typing import Any
 
 from ftcm_ros.codec import JointSample
 from ftcm_ros.nodes.base import ReactiveNode, run
-from ftcm_ros.topics import DISTURBANCE, JOINT_STATES, TORQUES
+from ftcm_ros.topics import DISTURBANCE, JOINT_STATES, TORQUES, TRUE_STATE
 
 
 class InjectorNode(ReactiveNode):
     """Adds the scenario's disturbances and faults as joint torques."""
 
     def __init__(self) -> None:
-        """Subscribe measurements and torques, publish the added torque."""
-        super().__init__(
-            "injector",
-            (JOINT_STATES, TORQUES),
-            {JOINT_STATES: ("position", "velocity"), TORQUES: ("effort",)},
-        )
+        """Subscribe the robot's true motion and torques, publish the added torque."""
+        super().__init__("injector")
+        self._motion = JOINT_STATES if self.scenario.sensor.exact else TRUE_STATE
+        self.listen({self._motion: ("position", "velocity"), TORQUES: ("effort",)})
         self._publish = self.plane.publisher(DISTURBANCE)
+        self.configure()
+
+    def configure(self) -> None:
+        """Disturbances and faults as they are before the first tick."""
+        super().configure()
         self.stage = self.scenario.injector_stage()
 
     def answer(
         self, time_ns: int, values: dict[str, JointSample]
     ) -> list[tuple[Callable[[Any], None], bytes]]:
         """One disturbance."""
-        state = values[JOINT_STATES.name]
+        state = values[self._motion.name]
         try:
             d = self.stage.step(time_ns, state.position, state.velocity, values[TORQUES.name].effort).torque
         except (

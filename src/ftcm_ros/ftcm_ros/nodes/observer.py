@@ -22,7 +22,8 @@ class ObserverNode(SwappableNode):
 
     def __init__(self) -> None:
         """Subscribe measurements, publish estimates."""
-        super().__init__("observer", (JOINT_STATES,), {JOINT_STATES: ("position", "velocity", "effort")})
+        super().__init__("observer")
+        self.listen({JOINT_STATES: ("position", "velocity", "effort")})
         self._publish = self.plane.publisher(ESTIMATE)
         self.configure()
 

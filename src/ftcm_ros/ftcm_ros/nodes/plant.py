@@ -16,7 +16,7 @@ from std_msgs.msg import String
 from ftcm_core.signals import NANOSECONDS, TrueDisturbance, seconds
 from ftcm_ros.nodes.base import POLL_NS, ExecutionTimes, SuiteNode, run
 from ftcm_ros.pacing import PACERS, Misses, RealTime
-from ftcm_ros.topics import CLOCK, DISTURBANCE, JOINT_STATES, RECORDED, SCENARIO, TORQUES, Topic
+from ftcm_ros.topics import CLOCK, DISTURBANCE, JOINT_STATES, RECORDED, SCENARIO, TORQUES, TRUE_STATE, Topic
 
 CLOCK_PERIOD_NS = NANOSECONDS // 100
 ASK_AGAIN_NS = NANOSECONDS
@@ -32,6 +32,8 @@ class PlantNode(SuiteNode):
         self.mode: str = self.setting("mode")
         self.recorder_window: int = self.setting("recorder_window")
         self._publish = self.plane.publisher(JOINT_STATES)
+        exact = self.scenario.sensor.exact
+        self._publish_truth = None if exact else self.plane.publisher(TRUE_STATE)
         self._publish_clock = self.plane.publisher(CLOCK)
         self._publish_scenario = self.plane.publisher(SCENARIO)
         self._inputs: dict[Topic, dict[str, Any]] = {}
@@ -167,7 +169,10 @@ class PlantNode(SuiteNode):
         self._published_at = time.monotonic_ns()
         if isinstance(self.pacer, RealTime) and self.tick:
             self.lateness.append(self._published_at - self.pacer.deadline + self.scenario.dt_ns)
-        self._publish(self.codec.state.encode(self.time_ns, *self.stage.measure()))
+        stage = self.stage
+        self._publish(self.codec.state.encode(self.time_ns, *stage.measure()))
+        if self._publish_truth is not None:
+            self._publish_truth(self.codec.motion.encode(self.time_ns, stage.position, stage.velocity))
         if self.time_ns % CLOCK_PERIOD_NS == 0:
             sec, nanosec = divmod(self.time_ns, NANOSECONDS)
             self._publish_clock(

@@ -15,7 +15,7 @@ from builtin_interfaces.msg import Time
 from ftcm_core.signals import NANOSECONDS
 from ftcm_ros.nodes.base import SuiteNode, run
 from ftcm_ros.recording import Recording
-from ftcm_ros.topics import RECORD, RECORDED, Topic
+from ftcm_ros.topics import EVENTS, RECORDED, Topic, data_topics
 
 ACKNOWLEDGE_TICKS = 100
 """How often the recorder says how far it is."""
@@ -41,7 +41,7 @@ class RecorderNode(SuiteNode):
         self._acknowledged = -1
         self._last_message = 0.0
         self._flushed = 0.0
-        for topic in RECORD:
+        for topic in (*data_topics(self.scenario), *EVENTS):
             self.plane.subscribe(topic, self._handler(topic))
 
     def _handler(self, topic: Topic) -> Callable[[bytes, int], None]:

@@ -11,15 +11,15 @@ from ftcm_core.signals import Vector
 from ftcm_ros.nodes.base import ReactiveNode
 from ftcm_ros.nodes.changes import change_message
 from ftcm_ros.parameters import ComponentParameters
-from ftcm_ros.topics import CHANGES, Topic
+from ftcm_ros.topics import CHANGES
 
 
 class SwappableNode(ReactiveNode):
     """Applies a changed component between two ticks and announces it with its first tick."""
 
-    def __init__(self, kind: str, inputs: tuple[Topic, ...], needs: dict[Topic, tuple[str, ...]]) -> None:
+    def __init__(self, kind: str) -> None:
         """Declare the parameters of every component of the kind."""
-        super().__init__(kind, inputs, needs)
+        super().__init__(kind)
         self.kind = kind
         self._announce = self.plane.publisher(CHANGES)
         self._pending: Component | None = None
