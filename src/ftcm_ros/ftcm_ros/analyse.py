@@ -12,6 +12,7 @@ from ftcm_core.errors import FtcmError
 from ftcm_core.report.results import labelled, new_folder, report, to_json, write_results
 from ftcm_core.scenario import load
 from ftcm_ros.bag import BagContents, read_bag
+from ftcm_ros.latency import hop_times, percentiles, write_figure
 
 
 def build_parser() -> argparse.ArgumentParser:
@@ -62,9 +63,14 @@ def analyse(options: argparse.Namespace) -> int:
                 file=sys.stderr,
             )
     results = [labelled(label, trace) for label, trace in traces]
-    extra = {"missing_ticks": {label: bag.missing for (label, _), bag in zip(traces, bags)}}
+    samples = [(label, hop_times(bag)) for (label, _), bag in zip(traces, bags)]
+    extra = {
+        "missing_ticks": {label: bag.missing for (label, _), bag in zip(traces, bags)},
+        "timing_us": {label: percentiles(found) for label, found in samples},
+    }
     if folder is not None:
         write_results(folder, traces, extra)
+        write_figure(samples, folder / "figures" / "timing.png")
         print(f"results: {folder}/summary.json, table.md, figures/", file=sys.stderr)
     print(to_json({"results": results, **extra}, indent=1) if options.json else report(results).rstrip())
     return 0

@@ -63,8 +63,10 @@ class BagContents:
     """Last diagnostics of each node."""
     metadata: dict[str, str]
     """The recorder's custom data."""
-    received: dict[str, npt.NDArray[np.int64]]
-    """Time at which the recorder received each message, ns, per data topic."""
+    published: dict[str, npt.NDArray[np.int64]]
+    """Time at which each message was published (system clock), ns, per data topic."""
+    stamps: dict[str, npt.NDArray[np.int64]]
+    """Stamp of each message, ns, per data topic."""
     runs: int = 1
     """Runs in the bag; the trace is the last one."""
 
@@ -79,7 +81,7 @@ def read_bag(path: Path, scenario: Scenario | None = None) -> BagContents:
     Raises:
         FtcmError: there is no bag, it cannot be read, or it has not the topics; in one line.
     """
-    raw, received, metadata = _read_messages(path)
+    raw, published, metadata = _read_messages(path)
     others = {name: raw.pop(name, []) for name in (CHANGES.name, SCENARIO.name, DIAGNOSTICS.name.lstrip("/"))}
     if not raw.get(JOINT_STATES.name):
         raise FtcmError(
@@ -93,7 +95,7 @@ def read_bag(path: Path, scenario: Scenario | None = None) -> BagContents:
         scenario = from_mapping(parse_yaml(text, str(path))[0], origin=f"{path}: recorded scenario")
     names = scenario.robot.joint_names if scenario else _joint_names(path, raw[JOINT_STATES.name][0])
     decoded = {name: _decode(path, name, messages, names) for name, messages in raw.items() if messages}
-    runs = _keep_last_run(decoded, received)
+    runs = _keep_last_run(decoded, published)
     stamps = np.unique(np.concatenate([times for times, _ in decoded.values()]))
     dt_ns = scenario.dt_ns if scenario else int(np.median(np.diff(stamps))) if len(stamps) > 1 else 1_000_000
     columns: dict[str, Any] = {c: _column(decoded, stamps, len(names), *_SOURCES[c]) for c in COLUMNS}
@@ -112,11 +114,12 @@ def read_bag(path: Path, scenario: Scenario | None = None) -> BagContents:
     if scenario is not None:
         scenario, changes = _initial_components(scenario, changes, int(stamps[0]) // dt_ns)
     status, detail = _status(scenario, nodes.get("plant", {}), int(stamps[-1]), dt_ns)
+    stamps_of = {name: times for name, (times, _) in decoded.items()}
     trace = Trace(
         joint_names=names, dt=dt_ns / 1e9, time_ns=stamps, **columns,
         scenario=scenario, status=status, detail=detail, changes=tuple(changes),
     )  # fmt: skip
-    return BagContents(path, trace, missing, nodes, metadata, received, runs)
+    return BagContents(path, trace, missing, nodes, metadata, published, stamps_of, runs)
 
 
 def _read_messages(
@@ -136,12 +139,10 @@ def _read_messages(
                 if c.topic.rpartition("/")[2] in wanted
             }
             sinks = {i: (raw[name], times[name]) for i, name in chosen.items()}
-            for connection, received, data in reader.messages(
-                [c for c in reader.connections if c.id in chosen]
-            ):
+            for connection, when, data in reader.messages([c for c in reader.connections if c.id in chosen]):
                 messages, stamps = sinks[connection.id]
                 messages.append(bytes(data))
-                stamps.append(received)
+                stamps.append(when)
     except FtcmError:
         raise
     except Exception as error:  # rosbags has many error types, none of them a programming mistake here
@@ -181,16 +182,16 @@ def _decode(path: Path, name: str, messages: Sequence[bytes], joint_names: tuple
     return np.array([s.time_ns for s in samples], dtype=np.int64), [*arrays]
 
 
-def _keep_last_run(decoded: dict[str, Decoded], received: dict[str, npt.NDArray[np.int64]]) -> int:
+def _keep_last_run(decoded: dict[str, Decoded], published: dict[str, npt.NDArray[np.int64]]) -> int:
     """Keep the last of several runs in one bag: stamps begin anew with each. Return how many there were."""
     times = decoded[JOINT_STATES.name][0]
     starts = np.flatnonzero(np.diff(times) < 0) + 1
     if len(starts):
-        begin = received[JOINT_STATES.name][starts[-1]]
+        begin = published[JOINT_STATES.name][starts[-1]]
         for name, (stamps, arrays) in decoded.items():
-            keep = received[name] >= begin
+            keep = published[name] >= begin
             decoded[name] = stamps[keep], [None if a is None else a[keep] for a in arrays]
-            received[name] = received[name][keep]
+            published[name] = published[name][keep]
     return len(starts) + 1
 
 

@@ -30,7 +30,7 @@ from ftcm_core.scenario import Scenario
 from ftcm_ros.topics import DEPTH, Topic, subscribers
 
 Handler = Callable[[bytes, int], None]
-"""Takes one serialized message and the time it was received (system clock, ns)."""
+"""Takes one serialized message and the time it was published (system clock, ns)."""
 
 SWITCH_INTERVAL = 1e-4
 """How long a background thread may keep the interpreter from the tick, s."""
@@ -95,7 +95,7 @@ class DataPlane:
             cls = message_class(topic.type)
 
             def callback(data: bytes, info: Any, handler: Handler = handler) -> None:
-                handler(data, info["received_timestamp"])
+                handler(data, info["source_timestamp"])
 
             made = self._node.create_subscription(
                 cls, topic.name, callback, qos(topic), callback_group=self._group, raw=True
@@ -154,7 +154,7 @@ class DataPlane:
         for _, handle, cls, handler in self._taken:
             taken = handle.take_message(cls, True)
             if taken is not None:
-                handler(taken[0], taken[1]["received_timestamp"])
+                handler(taken[0], taken[1]["source_timestamp"])
 
     def drain(self) -> None:
         """Hand all messages that are here to the handlers, without waiting."""
@@ -163,7 +163,7 @@ class DataPlane:
             return
         for _, handle, cls, handler in self._taken:
             while (taken := handle.take_message(cls, True)) is not None:
-                handler(taken[0], taken[1]["received_timestamp"])
+                handler(taken[0], taken[1]["source_timestamp"])
 
     def unmatched(self, scenario: Scenario) -> str:
         """Which endpoint still waits for the suite's other nodes; empty when all are matched."""

@@ -25,6 +25,7 @@ from ftcm_core.report.results import write_results
 from ftcm_core.scenario import Scenario, load
 from ftcm_ros.bag import read_bag
 from ftcm_ros.domain import Domain
+from ftcm_ros.latency import hop_times, percentiles, write_figure
 from ftcm_ros.lifecycle_client import Managed, drive
 from ftcm_ros.processes import NodeProcesses
 from ftcm_ros.settings import NODES
@@ -125,6 +126,9 @@ class Run:
             "autostart": False,
             "await_graph": True,
             "data_path": self.options.data_path,
+            "priority": self.options.priority,
+            "lock_memory": self.options.lock_memory,
+            "processors": self.options.processors,
         }
         extra: dict[str, dict[str, Any]] = {
             "plant": {"mode": self.options.mode, "recorder_window": RECORDER_WINDOW},
@@ -230,6 +234,9 @@ def build_parser() -> argparse.ArgumentParser:
     parser.add_argument(
         "--data-path", choices=("waitset", "executor"), default="waitset", help="default: waitset"
     )
+    parser.add_argument("--priority", type=int, default=0, help="SCHED_FIFO priority of the nodes")
+    parser.add_argument("--lock-memory", action="store_true", help="lock the nodes' memory")
+    parser.add_argument("--processors", default="", help="processors for the nodes, e.g. 0,1; default: all")
     parser.add_argument("--no-figures", action="store_true", help="write the table only")
     return parser
 
@@ -303,8 +310,10 @@ def report(
     for label, bag in contents:
         if bag.missing:
             say(f"warning: {label}: ticks missing in the bag: {bag.missing}")
+    samples = [(label, hop_times(b)) for label, b in contents]
     extra = {
         "mode": options.mode,
+        "timing_us": {label: percentiles(found) for label, found in samples},
         "timing": timing,
         "missing_ticks": {label: bag.missing for label, bag in contents},
         "bags": {label: str(path.relative_to(folder)) for label, path in bags},
@@ -312,6 +321,8 @@ def report(
     write_results(
         folder, [(label, bag.trace) for label, bag in contents], extra, figures=not options.no_figures
     )
+    if not options.no_figures:
+        write_figure(samples, folder / "figures" / "timing.png")
     print((folder / "table.md").read_text(encoding="utf-8").rstrip())
     say(f"results: {folder}/summary.json, table.md, figures/, bags/")
 

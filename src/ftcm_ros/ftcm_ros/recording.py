@@ -77,9 +77,9 @@ class Recording:
             for topic in (*data_topics(scenario), *EVENTS)
         }
 
-    def write(self, topic: Topic, received_ns: int, data: bytes) -> None:
+    def write(self, topic: Topic, published_ns: int, data: bytes) -> None:
         """Write one message as received; a data topic's tick is counted."""
-        self._writer.write(self._connections[topic.name], received_ns, data)
+        self._writer.write(self._connections[topic.name], published_ns, data)
         count = self.counts.get(topic.name)
         if count is not None:
             count.add(stamp_of(data), self.scenario.dt_ns)

@@ -43,6 +43,9 @@ _COMMON = (
         "how data messages are taken: a wait set of their own on the main thread, or the ordinary executor",
         ("waitset", "executor"),
     ),
+    Setting("priority", 0, "SCHED_FIFO priority of the process, 1 to 99; 0: ordinary scheduling"),
+    Setting("lock_memory", False, "keep the process's memory from being paged out"),
+    Setting("processors", "", "processors to run on, e.g. 0,1; empty: all"),
 )
 
 SETTINGS: dict[str, tuple[Setting, ...]] = {

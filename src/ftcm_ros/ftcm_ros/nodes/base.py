@@ -23,6 +23,7 @@ from rclpy.signals import SignalHandlerOptions
 from ftcm_core.errors import FtcmError
 from ftcm_core.scenario import Scenario, load
 from ftcm_core.signals import NANOSECONDS
+from ftcm_ros import scheduling
 from ftcm_ros.aligner import Aligner
 from ftcm_ros.codec import CodecError, JointSample, JointStateCodec
 from ftcm_ros.dataplane import DataPlane
@@ -50,6 +51,8 @@ class SuiteNode(LifecycleNode):
         self.scenario: Scenario = load(self.setting("scenario"))
         self.autostart: bool = self.setting("autostart")
         self._await_graph: bool = self.setting("await_graph")
+        for line in scheduling.apply(*(self.setting(n) for n in ("priority", "lock_memory", "processors"))):
+            self.get_logger().warning(line)
         self.codec = JointStateCodec(self.scenario.robot.joint_names)
         self.plane = DataPlane(self, self.setting("data_path"))
         self.active = False
@@ -292,7 +295,7 @@ class ReactiveNode(SuiteNode):
     def _handler(self, topic: Topic, arrays: tuple[str, ...]) -> Callable[[bytes, int], None]:
         name = topic.name
 
-        def handle(data: bytes, received_ns: int) -> None:
+        def handle(data: bytes, published_ns: int) -> None:
             if not self.active:
                 return
             sample = self.decode(topic, data)

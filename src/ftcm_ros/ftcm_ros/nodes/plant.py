@@ -52,7 +52,7 @@ class PlantNode(SuiteNode):
     def _handler(self, topic: Topic) -> Any:
         latest = self._inputs[topic]
 
-        def handle(data: bytes, received_ns: int) -> None:
+        def handle(data: bytes, published_ns: int) -> None:
             sample = self.decode(topic, data)
             if sample is None:
                 return
@@ -65,7 +65,7 @@ class PlantNode(SuiteNode):
 
         return handle
 
-    def _on_recorded(self, data: bytes, received_ns: int) -> None:
+    def _on_recorded(self, data: bytes, published_ns: int) -> None:
         stamp = deserialize_message(data, Time)
         self._recorded_ns = stamp.sec * NANOSECONDS + stamp.nanosec
 

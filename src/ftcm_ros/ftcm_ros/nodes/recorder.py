@@ -45,10 +45,10 @@ class RecorderNode(SuiteNode):
             self.plane.subscribe(topic, self._handler(topic))
 
     def _handler(self, topic: Topic) -> Callable[[bytes, int], None]:
-        def handle(data: bytes, received_ns: int) -> None:
+        def handle(data: bytes, published_ns: int) -> None:
             recording = self.recording
             if recording is not None:
-                recording.write(topic, received_ns, data)
+                recording.write(topic, published_ns, data)
                 self._last_message = time.monotonic()
 
         return handle

@@ -1,0 +1,53 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Optional real-time scheduling of a node's process: priority, memory locking, processors."""
+
+from __future__ import annotations
+
+import ctypes
+import os
+
+from ftcm_core.errors import FtcmError
+
+_MCL_CURRENT, _MCL_FUTURE = 1, 2
+
+
+def apply(priority: int, lock_memory: bool, processors: str) -> list[str]:
+    """Apply what is asked for to this process; threads started later inherit it.
+
+    Args:
+        priority: SCHED_FIFO priority 1 to 99; 0 leaves ordinary scheduling.
+        lock_memory: keep all memory from being paged out.
+        processors: processors to run on, such as ``0`` or ``0,1``; empty: all.
+
+    Returns:
+        One line for each thing that the system does not permit, with what would permit it.
+
+    Raises:
+        FtcmError: a value makes no sense.
+    """
+    refused = []
+    if processors:
+        try:
+            wanted = {int(p) for p in processors.split(",")}
+        except ValueError:
+            raise FtcmError(f"processors: {processors!r}; expected numbers with commas, e.g. 0,1") from None
+        there = os.sched_getaffinity(0)
+        if not wanted <= there:
+            raise FtcmError(f"processors: {processors!r}; this process may use {sorted(there)}")
+        os.sched_setaffinity(0, wanted)
+    if not 0 <= priority <= 99:
+        raise FtcmError(f"priority: {priority} is out of range; expected 0 (ordinary) to 99")
+    if priority:
+        try:
+            os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(priority))
+        except PermissionError:
+            refused.append(
+                f"priority {priority} is not permitted; ordinary scheduling is used. Allow it with rtprio in "
+                "/etc/security/limits.conf, or run as root"
+            )
+    if lock_memory and ctypes.CDLL(None, use_errno=True).mlockall(_MCL_CURRENT | _MCL_FUTURE) != 0:
+        refused.append(
+            f"memory cannot be locked ({os.strerror(ctypes.get_errno())}); raise memlock in "
+            "/etc/security/limits.conf, or run as root"
+        )
+    return refused
