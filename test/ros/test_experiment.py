@@ -56,7 +56,14 @@ def node_pids(parent: int) -> dict[str, int]:
     return found
 
 
-@pytest.mark.parametrize("controller", sorted(components("controller")))
+QUICK = {"ftcm", "smc"}
+"""Controllers tried in the quick pass too."""
+
+
+@pytest.mark.parametrize(
+    "controller",
+    [pytest.param(c, marks=() if c in QUICK else pytest.mark.slow) for c in sorted(components("controller"))],
+)
 def test_lockstep_equals_the_in_process_run(experiment: Experiment, tmp_path: Path, controller: str) -> None:
     overrides = ["duration=1.0", "injection.faults.0.start=0.5"]
     run = experiment("paper", "--controllers", controller, *(a for o in overrides for a in ("--set", o)))
@@ -109,6 +116,7 @@ def test_the_paper_experiment_over_the_graph(experiment: Experiment, tmp_path: P
         [0.002608, 0.002609, 0.002604], rel=1e-3
     )
     assert {"results", "provenance", "timing", "mode"} <= set(summary)
+    assert set(summary["timing_us"]["ftcm"]) == {"observer", "controller", "injector", "chain"}
     assert "Table 2" in (tmp_path / "runs" / "test" / "table.md").read_text()
 
 
@@ -120,6 +128,9 @@ def test_real_time_counts_every_miss_and_holds_the_torque(experiment: Experiment
     assert plant["state"] == "completed"
     trace = bag.trace
     assert trace.ticks == 3001
+    summary = json.loads((tmp_path / "runs" / "test" / "summary.json").read_text())
+    assert set(summary["timing_us"]["ftcm"]) == {"jitter", "observer", "controller", "injector", "chain"}
+    assert summary["timing_us"]["ftcm"]["chain"]["p50"] > 0
     # The effort reported at tick k+1 is the command of tick k, or one that was held.
     commands = trace.command.tolist()
     held = 0
@@ -134,6 +145,7 @@ def test_real_time_counts_every_miss_and_holds_the_torque(experiment: Experiment
         assert differing(trace, simulate(load("paper", ["duration=3"]))) == []
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("mode", ["lockstep", "real_time"])
 def test_the_controller_is_swapped_while_running(
     start: Start, watcher: Any, tmp_path: Path, domain: int, mode: str
@@ -185,7 +197,7 @@ def run_until_ticks(process: subprocess.Popen[str]) -> None:
     pytest.fail("the experiment ended before its first progress line")
 
 
-@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+@pytest.mark.parametrize("number", [signal.SIGINT, pytest.param(signal.SIGTERM, marks=pytest.mark.slow)])
 def test_stopping_keeps_what_was_recorded(start: Start, tmp_path: Path, number: signal.Signals) -> None:
     process = start("experiment", "paper", "--controllers", "smc", "ftcm", "--name", "test", "--no-figures")
     run_until_ticks(process)
@@ -204,6 +216,7 @@ def test_stopping_keeps_what_was_recorded(start: Start, tmp_path: Path, number: 
     assert (tmp_path / "runs" / "test" / "summary.json").is_file()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("victim", ["plant", "observer", "controller", "injector", "recorder"])
 def test_a_node_that_dies_ends_the_run_and_is_named(start: Start, tmp_path: Path, victim: str) -> None:
     process = start("experiment", "paper", "--controllers", "ftcm", "--name", "test", "--no-figures")

@@ -67,8 +67,7 @@ class RecorderNode(SuiteNode):
         last = self.scenario.last_tick * self.scenario.dt_ns
         self._last_message = time.monotonic()
         while recording.complete_to != last and time.monotonic() - self._last_message < QUIET_SECONDS:
-            time.sleep(BATCH_SECONDS)
-            self.plane.drain()
+            self.plane.collect(BATCH_SECONDS)
         self.recording = None
         recording.close()
         self._summary = recording.summary()
@@ -79,8 +78,7 @@ class RecorderNode(SuiteNode):
 
     def step(self) -> None:
         """Take messages in, say how far the recording is, flush now and then."""
-        time.sleep(BATCH_SECONDS)  # one wake-up for many messages: the queues hold seconds of them
-        self.plane.drain()
+        self.plane.collect(BATCH_SECONDS)  # the queues hold seconds of messages
         recording = self.recording
         if recording is None:
             return
