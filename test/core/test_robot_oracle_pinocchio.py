@@ -9,6 +9,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+
 from ftcm_core.robots import puma560
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "reference"))

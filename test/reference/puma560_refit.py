@@ -10,10 +10,11 @@ from __future__ import annotations
 from typing import Protocol
 
 import numpy as np
-import puma560_matrix
 import pytest
-from ftcm_core.robots import puma560
 from numpy.testing import assert_allclose
+
+import puma560_matrix
+from ftcm_core.robots import puma560
 
 Vector = np.ndarray
 

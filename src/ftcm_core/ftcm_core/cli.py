@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The command line: ``ftcm simulate``, ``compare``, ``reproduce``, ``list``, ``describe``.
+"""The command line: ``ftcm simulate``, ``compare``, ``reproduce``, ``campaign``, ``list``, ``describe``.
 
 Results go to stdout, warnings, progress and errors to stderr. Exit status: 0 done (a run that diverges is a
 result), 1 the machine failed (disk, memory), 2 a mistake in what was asked, 130 interrupted.
@@ -9,23 +9,24 @@ from __future__ import annotations
 
 import argparse
 import contextlib
+import dataclasses
+import functools
 import io
 import math
-import multiprocessing
 import os
-import signal
 import sys
 import textwrap
-import threading
-from collections.abc import Iterator, Sequence
-from concurrent.futures import Future, ProcessPoolExecutor, as_completed
+import time
+from collections.abc import Callable, Sequence
 from concurrent.futures.process import BrokenProcessPool
 from typing import Any
 
 import ftcm_core
+from ftcm_core import campaign, compiled
 from ftcm_core.controllers import Controller
 from ftcm_core.errors import FtcmError, ScenarioError, suggestion
 from ftcm_core.metrics import result
+from ftcm_core.parallel import run_parallel
 from ftcm_core.params import specs
 from ftcm_core.registry import KINDS, Component, components, find
 from ftcm_core.report.reference import summary
@@ -103,6 +104,7 @@ def _parser() -> argparse.ArgumentParser:
     )
     sub.add_argument("--controller", metavar="NAME", help="use this controller")
     sub.add_argument("--observer", metavar="NAME", help="use this observer")
+    sub.add_argument("--engine", choices=("plain", "compiled"), default="plain", help="compiled needs numba")
     shared(sub)
 
     sub = command("compare", _compare, "run several controllers on one or more scenarios, in parallel",
@@ -116,6 +118,35 @@ def _parser() -> argparse.ArgumentParser:
     sub = command("reproduce", _reproduce, "repeat the paper's experiment: its Table 2 and its figures",
                   "ftcm reproduce --output results/paper")  # fmt: skip
     shared(sub, overrides=False)
+
+    sub = command(
+        "campaign", _campaign, "run one scenario many times, values drawn at random, and give statistics",
+        "ftcm campaign paper --runs 1000 --vary 'injection.faults.0.start=uniform(5, 15)'",
+    )  # fmt: skip
+    sub.add_argument(
+        "source",
+        nargs="?",
+        metavar="SCENARIO",
+        help="scenario or campaign file, or name of a shipped scenario",
+    )
+    sub.add_argument("--runs", type=int, metavar="N", help="number of draws; default: 100")
+    sub.add_argument("--seed", type=int, metavar="N", help="seed of the draws; default: 0")
+    sub.add_argument(
+        "--vary", nargs="+", action="extend", default=[], metavar="PATH=DISTRIBUTION",
+        help="draw a value: " + "; ".join(form for form, _ in campaign.DISTRIBUTIONS.values()),
+    )  # fmt: skip
+    sub.add_argument(
+        "--set", nargs="+", action="extend", default=[], metavar="PATH=VALUE", dest="overrides",
+        help="change values in every run",
+    )  # fmt: skip
+    sub.add_argument("--controllers", nargs="+", metavar="NAME", help="run every draw with each of these")
+    sub.add_argument("--jobs", type=int, metavar="N", help="number of processes; default: one per core")
+    sub.add_argument(
+        "--engine", choices=campaign.ENGINES, default="auto",
+        help="compiled needs numba; auto: compiled where that is installed",
+    )  # fmt: skip
+    sub.add_argument("--json", action="store_true", help="print the summary as one JSON object")
+    sub.add_argument("--output", metavar="DIR", help="write every run and the summary to a new folder")
 
     sub = command("list", _list, "list scenarios and components", "ftcm list controller")
     sub.add_argument("kind", nargs="?", metavar="KIND", help=f"one of scenario, {', '.join(KINDS)}")
@@ -143,7 +174,13 @@ def _simulate(arguments: argparse.Namespace) -> int:
     folder = new_folder(arguments.output) if arguments.output else None
     label = scenario.controller.type_name
     _warn([(label, scenario)])
-    trace = simulate(scenario, progress=_progress_line if sys.stderr and sys.stderr.isatty() else None)
+    if arguments.engine == "compiled":
+        compiled_trace = compiled.simulate(scenario)
+        if compiled_trace.engine != "compiled":
+            _note(f"warning: it ran {compiled_trace.engine}")
+        trace: Trace = compiled_trace
+    else:
+        trace = simulate(scenario, progress=_progress_line if sys.stderr and sys.stderr.isatty() else None)
     found = result(trace)
     _print_results(found if arguments.json else [found])
     if folder:
@@ -183,7 +220,7 @@ def _run_all(jobs: Sequence[Job], arguments: argparse.Namespace) -> int:
     folder = new_folder(arguments.output) if arguments.output else None
     _warn(jobs)
     found: dict[int, tuple[dict[str, Any], Trace | None]] = {}
-    for index, outcome in _run_parallel(jobs, keep_traces=folder is not None):
+    for index, outcome in run_parallel(functools.partial(_run_job, keep_trace=folder is not None), jobs):
         found[index] = outcome
         _note(f"[{len(found)}/{len(jobs)}] {jobs[index][0]}: {status(outcome[0])}")
     results = [found[i][0] for i in range(len(jobs))]
@@ -203,64 +240,60 @@ def _print_results(found: dict[str, Any] | list[dict[str, Any]]) -> None:
         print(report(found), end="", flush=True)
 
 
-def _run_parallel(
-    jobs: Sequence[Job], *, keep_traces: bool
-) -> Iterator[tuple[int, tuple[dict[str, Any], Trace | None]]]:
-    """Run jobs over the cores; yield (index of the job, its outcome) as they finish."""
-    workers = min(len(jobs), os.cpu_count() or 1)
-    if workers < 2:
-        for index, job in enumerate(jobs):
-            yield index, _run_job(job, keep_traces)
-        return
-    pool = ProcessPoolExecutor(
-        workers, mp_context=multiprocessing.get_context("spawn"), initializer=_end_with_parent
-    )
-    try:
-        with _children_ignore_interrupts():
-            futures: dict[Future[tuple[dict[str, Any], Trace | None]], int] = {
-                pool.submit(_run_job, job, keep_traces): index for index, job in enumerate(jobs)
-            }
-        for future in as_completed(futures):
-            index = futures.pop(future)  # so that a finished trace is not held twice
-            yield index, future.result()
-    except BaseException:
-        for child in multiprocessing.active_children():
-            child.terminate()
-        raise
-    finally:
-        pool.shutdown(wait=False, cancel_futures=True)
-
-
 def _run_job(job: Job, keep_trace: bool) -> tuple[dict[str, Any], Trace | None]:
     label, scenario = job
     trace = simulate(scenario)
     return labelled(label, trace), trace if keep_trace else None
 
 
-def _end_with_parent() -> None:
-    """Let a worker end when the process that started it is gone, however that happened."""
+def _campaign(arguments: argparse.Namespace) -> int:
+    overrides = list(arguments.overrides)
+    sources = _sources([arguments.source] if arguments.source else [], overrides)
+    if len(sources) != 1:
+        raise FtcmError(
+            f"campaign takes one scenario or campaign file, got {', '.join(sources) or 'none'}; "
+            "expected e.g. paper"
+        )
+    planned = campaign.from_file(sources[0])
+    varied = tuple(campaign.parse_variation(text) for text in arguments.vary)
+    again = {v.path for v in varied}
+    planned = dataclasses.replace(
+        planned,
+        runs=planned.runs if arguments.runs is None else arguments.runs,
+        seed=planned.seed if arguments.seed is None else arguments.seed,
+        variations=(*(v for v in planned.variations if v.path not in again), *varied),
+        overrides=(*planned.overrides, *overrides),
+        controllers=tuple(arguments.controllers or planned.controllers),
+    )
+    if arguments.jobs is not None and arguments.jobs < 1:
+        raise FtcmError(f"--jobs {arguments.jobs}: expected at least 1")
+    campaign.chosen_engine(arguments.engine)
+    folder = new_folder(arguments.output) if arguments.output else None
+    summary = campaign.run_campaign(
+        planned, engine=arguments.engine, jobs=arguments.jobs, folder=folder, progress=_campaign_progress()
+    )
+    print(to_json(summary) if arguments.json else campaign.table(summary), flush=True)
+    return 0
 
-    def watch() -> None:
-        parent = multiprocessing.parent_process()
-        if parent is not None:
-            parent.join()
-            os._exit(1)
 
-    threading.Thread(target=watch, daemon=True).start()
+def _campaign_progress() -> Callable[[int, int], None]:
+    """Return what shows how far a campaign is: a line that is rewritten, in a file one per tenth."""
+    begin = time.monotonic()
+    tenth = 0
 
+    def show(done: int, total: int) -> None:
+        nonlocal tenth
+        passed = time.monotonic() - begin
+        text = f"ftcm: {done}/{total} runs, {passed:.0f} s, about {passed / done * (total - done):.0f} s left"
+        if sys.stderr is None:
+            return
+        if sys.stderr.isatty():
+            print(f"\r{text}\033[K", end="\n" if done == total else "", file=sys.stderr, flush=True)
+        elif 10 * done // total > tenth:
+            tenth = 10 * done // total
+            print(text, file=sys.stderr, flush=True)
 
-@contextlib.contextmanager
-def _children_ignore_interrupts() -> Iterator[None]:
-    """Let processes started inside ignore Ctrl-C; this process ends them itself."""
-    try:
-        before = signal.signal(signal.SIGINT, signal.SIG_IGN)
-    except ValueError:  # not in the main thread
-        yield
-        return
-    try:
-        yield
-    finally:
-        signal.signal(signal.SIGINT, before)
+    return show
 
 
 def _list(arguments: argparse.Namespace) -> int:

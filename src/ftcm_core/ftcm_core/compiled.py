@@ -11,6 +11,7 @@ Needs numba, which is imported when the first run is asked for.
 
 from __future__ import annotations
 
+import contextlib
 import hashlib
 import importlib.util
 import os
@@ -100,7 +101,7 @@ _refused: dict[Any, str] = {}
 def require_numba() -> None:
     """Raise an FtcmError if numba is not installed."""
     if importlib.util.find_spec("numba") is None:
-        raise FtcmError('compiled runs need numba; pip install "ftcm_core[compiled]", or use --engine plain')
+        raise FtcmError('compiled runs need numba; pip install "ftcm_core[compiled]", or run plainly')
 
 
 def simulate(scenario: Scenario) -> CompiledTrace:
@@ -152,10 +153,17 @@ def simulate(scenario: Scenario) -> CompiledTrace:
     assert isinstance(trace, CompiledTrace)
     if program is not None and parameters is not None:
         trace.__dict__.update(_acceleration=program.accelerations, _parameters=parameters)
-    trace.__dict__["engine"] = (
-        "compiled" if not reason else f"{'partly ' if compiled else ''}plain: {reason}"
-    )
+    trace.__dict__["engine"] = "compiled" if not reason else f"{'partly ' if compiled else ''}plain: {reason}"
     return trace
+
+
+def prepare(scenario: Scenario) -> None:
+    """Compile what a scenario needs, or find it compiled; :func:`simulate` says why if that is impossible."""
+    require_numba()
+    loop = Loop(scenario)
+    if not loop.tick(0, False, lambda row: None):
+        with contextlib.suppress(NotTraceable):
+            _program(loop)
 
 
 def _plain(scenario: Scenario, reason: str) -> CompiledTrace:
@@ -278,7 +286,9 @@ def write(loop: Loop) -> tuple[Tracer, str]:
 
     def acceleration() -> Any:
         q, tau = (tuple([Symbol(tracer, f"{x}{j}") for j in joints]) for x in ("q", "tau"))
-        return Part(tracer, robot, (("attribute", "plant"), ("attribute", "robot"))).inertia_acceleration(q, tau)
+        return Part(tracer, robot, (("attribute", "plant"), ("attribute", "robot"))).inertia_acceleration(
+            q, tau
+        )
 
     robot = loop.plant.robot
     joints = range(robot.joints)
@@ -378,7 +388,8 @@ def _import(path: Path, text: str) -> types.ModuleType:
         os.replace(file.name, path)
     name = f"ftcm_core_{path.stem}"
     spec = importlib.util.spec_from_file_location(name, path)
-    assert spec is not None and spec.loader is not None
+    assert spec is not None
+    assert spec.loader is not None
     module = importlib.util.module_from_spec(spec)
     sys.modules[name] = module
     spec.loader.exec_module(module)
@@ -403,7 +414,9 @@ def _cache_folder() -> Path | None:
         folder.mkdir(parents=True, exist_ok=True, mode=0o700)
         about = folder.stat()
         # What is in there gets executed.
-        if hasattr(os, "getuid") and (about.st_uid != os.getuid() or about.st_mode & (stat.S_IWGRP | stat.S_IWOTH)):
+        if hasattr(os, "getuid") and (
+            about.st_uid != os.getuid() or about.st_mode & (stat.S_IWGRP | stat.S_IWOTH)
+        ):
             return None
         return folder if os.access(folder, os.W_OK) else None
     except OSError:

@@ -71,10 +71,11 @@ class Loop:
             if last:
                 return ""
             self.plant.step(u, d)
-        except (ArithmeticError, ValueError) as error:  # a law driven out of its domain: overflow, log(0), ...
+        except (ArithmeticError, ValueError) as error:  # a law out of its domain: overflow, log(0), ...
             return f"at t = {seconds(time_ns):g} s: {error}"
         if self.plant.diverged:
-            return f"at t = {seconds(time_ns + round(self.plant.dt * NANOSECONDS)):g} s: {self.plant.diverged}"
+            after = seconds(time_ns + round(self.plant.dt * NANOSECONDS))
+            return f"at t = {after:g} s: {self.plant.diverged}"
         return ""
 
 

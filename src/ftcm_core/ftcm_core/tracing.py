@@ -54,6 +54,15 @@ class Symbol:
     def __bool__(self) -> bool:
         return self.tracer.decide(self)
 
+    def __neg__(self) -> Any:
+        return self.tracer.operate("-{}", self)
+
+    def __pos__(self) -> Symbol:
+        return self
+
+    def __abs__(self) -> Any:
+        return self.tracer.operate("abs({})", self)
+
     def __float__(self) -> float:
         raise NotTraceable("a function that cannot be followed wants a number")
 
@@ -75,9 +84,6 @@ for _name, _symbol in {
     "lt": "<", "le": "<=", "gt": ">", "ge": ">=", "eq": "==", "ne": "!=",
 }.items():  # fmt: skip
     _operator(_name, _symbol)
-Symbol.__neg__ = lambda self: self.tracer.operate("-{}", self)  # type: ignore[attr-defined]
-Symbol.__pos__ = lambda self: self  # type: ignore[attr-defined]
-Symbol.__abs__ = lambda self: self.tracer.operate("abs({})", self)  # type: ignore[attr-defined]
 
 
 class _Scope:
@@ -254,6 +260,8 @@ class Tracer:
     def _seen_by_twin(self, value: Any) -> Any:
         if value is math:
             return _Math(self)
+        if _of_math(value):
+            return getattr(_Math(self), value.__name__)
         if isinstance(value, types.FunctionType) or hasattr(value, "__wrapped__"):
             # Looked up when it is called, as functions may call each other.
             return lambda *args, **named: self.twin(value)(*args, **named)
@@ -460,17 +468,25 @@ def _is_plain(function: types.FunctionType, seen: set[Any]) -> bool:
     if function.__closure__ or function.__kwdefaults__ or function.__defaults__:
         return False
     for name in _names(function.__code__):
-        if name in function.__globals__:
-            found = function.__globals__[name]
-            fits = (
-                _is_plain(found, seen) if isinstance(found, types.FunctionType)
-                else found is math or isinstance(found, float) or (type(found) is int and abs(found) < 2**31)
-            )  # fmt: skip
-        else:
-            fits = name in _PLAIN or hasattr(math, name)
-        if not fits:
+        if name not in function.__globals__:
+            if name not in _PLAIN and not hasattr(math, name):
+                return False
+            continue
+        found = function.__globals__[name]
+        if isinstance(found, types.FunctionType):
+            if not _is_plain(found, seen):
+                return False
+        elif not (found is math or _of_math(found) or isinstance(found, float) or _small(found)):
             return False
     return True
+
+
+def _small(value: Any) -> bool:
+    return type(value) is int and abs(value) < 2**31
+
+
+def _of_math(value: Any) -> bool:
+    return isinstance(value, types.BuiltinFunctionType) and value.__module__ == "math"
 
 
 def _names(code: types.CodeType) -> set[str]:

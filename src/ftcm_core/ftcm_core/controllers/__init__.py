@@ -9,7 +9,6 @@ see :class:`AccelerationLaw`.
 from __future__ import annotations
 
 from abc import abstractmethod
-from functools import lru_cache
 from operator import add
 from typing import Any, ClassVar
 
@@ -121,8 +120,11 @@ class AccelerationLaw(Controller):
         return self.surface(self.for_joint(joint), e, de)
 
 
-@lru_cache(maxsize=64)
 def joint_parameters(component: Component, joints: int) -> tuple[Any, ...]:
-    """Parameters of a component, reduced to each joint in turn."""
-    component.check_joints(joints)
-    return tuple(component.for_joint(j) for j in range(joints))
+    """Parameters of a component, reduced to each joint in turn; kept with the component, as it is frozen."""
+    kept: tuple[Any, ...] | None = component.__dict__.get("_joint_parameters")
+    if kept is None or len(kept) != joints:
+        component.check_joints(joints)
+        kept = tuple([component.for_joint(j) for j in range(joints)])
+        component.__dict__["_joint_parameters"] = kept
+    return kept

@@ -7,7 +7,7 @@ ICRA 1986 (reference [65] of the paper). Joint 1 turns about the vertical, so gr
 
 from __future__ import annotations
 
-import math
+from math import cos, sin
 from typing import ClassVar
 
 from ftcm_core.registry import register
@@ -71,10 +71,11 @@ def bias(v: Vector, trig: tuple[float, ...]) -> Vector:
     """Velocity torque h(q, v) for the sines and cosines of q, N·m."""
     d1, d2, d3 = v
     b112, b113, b123, b223, c12 = christoffel(*trig)
+    half223 = 0.5 * b223
     return (
         b112 * d1 * d2 + b113 * d1 * d3 + b123 * d2 * d3 + c12 * d2 * d2 + 0.5 * b123 * d3 * d3,
-        -0.5 * b112 * d1 * d1 + b223 * d2 * d3 + 0.5 * b223 * d3 * d3,
-        -0.5 * b113 * d1 * d1 - 0.5 * b223 * d2 * d2,
+        -0.5 * b112 * d1 * d1 + b223 * d2 * d3 + half223 * d3 * d3,
+        -0.5 * b113 * d1 * d1 - half223 * d2 * d2,
     )
 
 
@@ -87,8 +88,8 @@ def gravity_torque(trig: tuple[float, ...]) -> Vector:
 
 def trigonometry(q: Vector) -> tuple[float, ...]:
     """Sine and cosine of q2, q3 and q2 + q3."""
-    s2, c2 = math.sin(q[1]), math.cos(q[1])
-    s3, c3 = math.sin(q[2]), math.cos(q[2])
+    _, q2, q3 = q
+    s2, c2, s3, c3 = sin(q2), cos(q2), sin(q3), cos(q3)
     return s2, c2, s3, c3, s2 * c3 + c2 * s3, c2 * c3 - s2 * s3
 
 
@@ -163,9 +164,10 @@ class Puma560(Robot):
     def forward_dynamics(self, q: Vector, v: Vector, tau: Vector) -> Vector:
         """Acceleration M(q)^-1 (tau - h(q, v) - G(q)), rad/s²."""
         trig = trigonometry(q)
+        t1, t2, t3 = tau
         h1, h2, h3 = bias(v, trig)
         _, g2, g3 = gravity_torque(trig)
-        return solve(inertia(*trig), (tau[0] - h1, tau[1] - h2 - g2, tau[2] - h3 - g3))
+        return solve(inertia(*trig), (t1 - h1, t2 - h2 - g2, t3 - h3 - g3))
 
     def inertia_acceleration(self, q: Vector, tau: Vector) -> Vector:
         """Acceleration M(q)^-1 tau, rad/s²."""

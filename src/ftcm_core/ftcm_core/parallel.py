@@ -1,0 +1,76 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Work over several processes that end when they should: with the parent, and on Ctrl-C."""
+
+from __future__ import annotations
+
+import contextlib
+import multiprocessing
+import os
+import signal
+import threading
+from collections.abc import Callable, Iterator, Sequence
+from concurrent.futures import Future, ProcessPoolExecutor, as_completed
+from typing import TypeVar
+
+T = TypeVar("T")
+R = TypeVar("R")
+
+
+def run_parallel(
+    function: Callable[[T], R], items: Sequence[T], jobs: int | None = None
+) -> Iterator[tuple[int, R]]:
+    """Run a function on items over several processes; yield (index of the item, result) as they finish.
+
+    Args:
+        function: picklable.
+        items: picklable.
+        jobs: number of processes; the number of cores by default. With one, no process is started.
+    """
+    workers = min(len(items), jobs or os.cpu_count() or 1)
+    if workers < 2:
+        for index, item in enumerate(items):
+            yield index, function(item)
+        return
+    pool = ProcessPoolExecutor(
+        workers, mp_context=multiprocessing.get_context("spawn"), initializer=_end_with_parent
+    )
+    try:
+        with _children_ignore_interrupts():
+            futures: dict[Future[R], int] = {
+                pool.submit(function, item): index for index, item in enumerate(items)
+            }
+        for future in as_completed(futures):
+            index = futures.pop(future)  # so that a finished result is not held twice
+            yield index, future.result()
+    except BaseException:
+        for child in multiprocessing.active_children():
+            child.terminate()
+        raise
+    finally:
+        pool.shutdown(wait=False, cancel_futures=True)
+
+
+def _end_with_parent() -> None:
+    """Let a worker end when the process that started it is gone, however that happened."""
+
+    def watch() -> None:
+        parent = multiprocessing.parent_process()
+        if parent is not None:
+            parent.join()
+            os._exit(1)
+
+    threading.Thread(target=watch, daemon=True).start()
+
+
+@contextlib.contextmanager
+def _children_ignore_interrupts() -> Iterator[None]:
+    """Let processes started inside ignore Ctrl-C; this process ends them itself."""
+    try:
+        before = signal.signal(signal.SIGINT, signal.SIG_IGN)
+    except ValueError:  # not in the main thread
+        yield
+        return
+    try:
+        yield
+    finally:
+        signal.signal(signal.SIGINT, before)
