@@ -88,7 +88,11 @@ lint: test-env ## Check style, format and types
 
 .PHONY: docs
 docs: build ## Write the reference pages of every component and parameter into docs/
-	@$(call source,.venv,); python -m ftcm_core.report.reference docs/
+	@$(call source,.venv,); python -m ftcm_core.report.reference docs/ && python -m ftcm_ros.reference docs/
+
+.PHONY: bench
+bench: test-env build ## Measure rates, latencies, real time and the core; minutes, on an otherwise idle machine
+	@$(call source,.venv,); python -m ftcm_core.benchmark && python -m ftcm_ros.benchmark $(ARGS)
 
 .PHONY: clean
 clean: ## Remove environments, build results and caches; runs/ stays

@@ -8,6 +8,7 @@ before every endpoint is matched, follows the run, stops the nodes, reads the ba
 from __future__ import annotations
 
 import argparse
+import contextlib
 import os
 import signal
 import sys
@@ -34,6 +35,8 @@ from ftcm_ros.topics import DIAGNOSTICS
 PAPER_CONTROLLERS = ("smc", "nftsmc", "ftcm")
 START_SECONDS = 30.0
 """How long a node may take to come up."""
+CLOSE_SECONDS = 15.0
+"""How long the recorder may take to close the bag."""
 SILENCE_SECONDS = 5.0
 """How long a node may say nothing on /diagnostics before the run ends."""
 MATCHING_ORDER = ("observer", "controller", "injector", "plant", "recorder")
@@ -191,17 +194,18 @@ class Run:
                     )
 
     def _close_bag(self) -> None:
-        """Let the recorder take in what is under way and close the bag."""
+        """Let the recorder take in what is under way and close the bag, whatever has become of the others."""
         recorder = self.processes.processes.get("recorder")
-        if recorder is None or recorder.poll() is not None:
+        if recorder is None:
             return
-        requested, self.options.stop_requested = self.options.stop_requested, False
-        try:
-            self.transition("deactivate", ("recorder",))
-        except (FtcmError, Interrupted):
-            return  # stopping the process closes the bag as well
-        finally:
-            self.options.stop_requested = requested or self.options.stop_requested
+
+        def spin() -> None:
+            rclpy.spin_once(self.node, timeout_sec=0.05)
+            if recorder.poll() is not None:
+                raise FtcmError("the recorder has ended")
+
+        with contextlib.suppress(FtcmError):  # stopping the process closes the bag as well
+            drive([self.managed["recorder"]], "deactivate", spin, CLOSE_SECONDS)
 
 
 def build_parser() -> argparse.ArgumentParser:

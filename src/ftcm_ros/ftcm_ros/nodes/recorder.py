@@ -49,7 +49,8 @@ class RecorderNode(SuiteNode):
             recording = self.recording
             if recording is not None:
                 recording.write(topic, published_ns, data)
-                self._last_message = time.monotonic()
+                if topic not in EVENTS:  # diagnostics never cease
+                    self._last_message = time.monotonic()
 
         return handle
 
