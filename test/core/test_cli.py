@@ -254,8 +254,12 @@ def test_interrupt_ends_quietly_with_its_workers() -> None:
     process = subprocess.Popen(
         [*COMMAND, "compare", "paper", "paper", "--set", "duration=400"],
         stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, env=environment(),
+        # As at a terminal, also where the tests themselves run in the background.
+        preexec_fn=lambda: signal.signal(signal.SIGINT, signal.SIG_DFL),
     )  # fmt: skip
-    time.sleep(2.0)  # past the imports; the runs take far longer
+    children = Path(f"/proc/{process.pid}/task/{process.pid}/children")
+    while process.poll() is None and not children.read_text():
+        time.sleep(0.05)  # until it has workers; their runs take far longer than all this
     process.send_signal(signal.SIGINT)
     out, err = process.communicate(timeout=20)  # returns only when no worker holds the pipes any more
     assert (process.returncode, out, err) == (130, "", "")
