@@ -15,6 +15,7 @@ setup(
         ("share/ament_index/resource_index/packages", ["resource/ftcm_ros"]),
         ("share/ftcm_ros", ["package.xml"]),
     ],
+    package_data={"ftcm_ros": ["fastdds.xml"]},
     zip_safe=False,
     python_requires=">=3.10",
     # rclpy and the message packages come with ROS, not from here.

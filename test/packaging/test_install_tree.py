@@ -102,3 +102,12 @@ def test_version_is_the_same_wherever_it_is_written(package, root):
     assert manifest[1] == setup[1] == ftcm_core.__version__
     prefix_of(package)
     assert importlib.metadata.version(package) == ftcm_core.__version__
+
+
+def test_middleware_settings_are_installed(tmp_path):
+    prefix_of("ftcm_ros")
+    code = """
+import importlib.resources, json
+print(json.dumps((importlib.resources.files("ftcm_ros") / "fastdds.xml").read_text("utf-8").count("participant")))
+"""
+    assert run_installed(code, tmp_path) > 0

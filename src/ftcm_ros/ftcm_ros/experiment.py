@@ -39,6 +39,8 @@ CLOSE_SECONDS = 15.0
 """How long the recorder may take to close the bag."""
 SILENCE_SECONDS = 5.0
 """How long a node may say nothing on /diagnostics before the run ends."""
+PROFILES = Path(__file__).with_name("fastdds.xml")
+"""Settings of the middleware for the run, unless the user has some."""
 MATCHING_ORDER = ("observer", "controller", "injector", "plant", "recorder")
 """Order of configuration: that of the tick, so that each message reaches first who acts on it next."""
 RECORDER_WINDOW = 1000
@@ -271,6 +273,7 @@ def run_experiment(options: argparse.Namespace) -> int:
     domain = Domain(options.domain_id)
     os.environ.update(ROS_DOMAIN_ID=str(domain.number), ROS_AUTOMATIC_DISCOVERY_RANGE="LOCALHOST")
     os.environ["ROS_LOG_DIR"] = str((folder / "logs").resolve())
+    os.environ.setdefault("FASTRTPS_DEFAULT_PROFILES_FILE", str(PROFILES))
     say(f"run {folder}: {', '.join(labels)} in {options.mode}, ROS_DOMAIN_ID={domain.number}")
     failure, finished, timing = "", [], {}
 
