@@ -108,6 +108,7 @@ def test_middleware_settings_are_installed(tmp_path):
     prefix_of("ftcm_ros")
     code = """
 import importlib.resources, json
-print(json.dumps((importlib.resources.files("ftcm_ros") / "fastdds.xml").read_text("utf-8").count("participant")))
+file = importlib.resources.files("ftcm_ros") / "fastdds.xml"
+print(json.dumps(file.read_text("utf-8").count("participant")))
 """
     assert run_installed(code, tmp_path) > 0
