@@ -123,7 +123,15 @@ class DataPlane:
 
     def _serve(self) -> None:
         with contextlib.suppress(ExternalShutdownException, ShutdownException):
-            self._executor.spin()
+            while True:
+                self._spin(None)
+
+    def _spin(self, seconds: float | None) -> None:
+        """Serve one callback; a lifecycle transition that is not possible now must not end the node."""
+        try:
+            self._executor.spin_once(timeout_sec=seconds)
+        except _rclpy.RCLError as error:
+            self._node.get_logger().warning(f"request not possible now: {error}")
 
     def stop(self) -> None:
         """Stop serving; the data plane is not used after this."""
@@ -140,7 +148,7 @@ class DataPlane:
                 message; the others are looked at then, and when the time is up.
         """
         if self._path == "executor":
-            self._executor.spin_once(timeout_sec=timeout_ns / 1e9)
+            self._spin(timeout_ns / 1e9)
             return
         wait_set = self._wait_set
         if wait_set is None:  # not opened yet
@@ -159,7 +167,7 @@ class DataPlane:
     def collect(self, seconds: float) -> None:
         """Let messages gather for a while, then hand all of them to the handlers: one wake-up for many."""
         if self._path == "executor":
-            self._executor.spin_once(timeout_sec=seconds)
+            self._spin(seconds)
             return
         time.sleep(seconds)
         for _, handle, cls, handler in self._taken:

@@ -11,6 +11,7 @@ import argparse
 import contextlib
 import os
 import signal
+import subprocess
 import sys
 import time
 from pathlib import Path
@@ -35,6 +36,7 @@ from ftcm_ros.topics import DIAGNOSTICS
 PAPER_CONTROLLERS = ("smc", "nftsmc", "ftcm")
 START_SECONDS = 30.0
 """How long a node may take to come up."""
+PLANT_STOP_SECONDS = 3.0
 CLOSE_SECONDS = 15.0
 """How long the recorder may take to close the bag."""
 SILENCE_SECONDS = 5.0
@@ -196,18 +198,22 @@ class Run:
                     )
 
     def _close_bag(self) -> None:
-        """Let the recorder take in what is under way and close the bag, whatever has become of the others."""
-        recorder = self.processes.processes.get("recorder")
-        if recorder is None:
-            return
+        """End the ticks, then let the recorder take in what is under way and close the bag.
 
-        def spin() -> None:
-            rclpy.spin_once(self.node, timeout_sec=0.05)
-            if recorder.poll() is not None:
-                raise FtcmError("the recorder has ended")
+        Whatever has become of the other nodes; a node that does not answer is stopped afterwards.
+        """
+        for name, seconds in (("plant", PLANT_STOP_SECONDS), ("recorder", CLOSE_SECONDS)):
+            process = self.processes.processes.get(name)
+            if process is None or process.poll() is not None:
+                continue
 
-        with contextlib.suppress(FtcmError):  # stopping the process closes the bag as well
-            drive([self.managed["recorder"]], "deactivate", spin, CLOSE_SECONDS)
+            def spin(name: str = name, process: subprocess.Popen[bytes] = process) -> None:
+                rclpy.spin_once(self.node, timeout_sec=0.05)
+                if process.poll() is not None:
+                    raise FtcmError(f"{name} has ended")
+
+            with contextlib.suppress(FtcmError):
+                drive([self.managed[name]], "deactivate", spin, seconds)
 
 
 def build_parser() -> argparse.ArgumentParser:

@@ -16,7 +16,7 @@ TRANSITIONS = {
     "activate": (Transition.TRANSITION_ACTIVATE, State.PRIMARY_STATE_ACTIVE),
     "deactivate": (Transition.TRANSITION_DEACTIVATE, State.PRIMARY_STATE_INACTIVE),
 }
-ASK_AGAIN_SECONDS = 0.2
+ASK_AGAIN_SECONDS = 1.5
 """After so long without an answer, ask for the state instead.
 
 The middleware drops an answer that is ready before the server has discovered the client.
