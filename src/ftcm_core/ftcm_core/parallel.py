@@ -65,12 +65,8 @@ def _end_with_parent() -> None:
 @contextlib.contextmanager
 def _children_ignore_interrupts() -> Iterator[None]:
     """Let processes started inside ignore Ctrl-C; this process ends them itself."""
-    try:
-        before = signal.signal(signal.SIGINT, signal.SIG_IGN)
-    except ValueError:  # not in the main thread
-        yield
-        return
+    before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})  # inherited; one that comes now waits
     try:
         yield
     finally:
-        signal.signal(signal.SIGINT, before)
+        signal.pthread_sigmask(signal.SIG_SETMASK, before)
