@@ -22,6 +22,9 @@ from sensor_msgs.msg import JointState
 
 from ftcm_core.params import specs
 from ftcm_core.registry import components
+from ftcm_core.scenario import load
+from ftcm_core.signals import Measurement
+from ftcm_core.stages import ControllerStage
 from ftcm_ros.bag import read_bag
 from ftcm_ros.settings import NODES, SETTINGS
 
@@ -170,6 +173,40 @@ def test_messages_that_do_not_fit_are_refused_and_named(start: Start, watcher: A
     assert list(answers[0].name) == ["joint1", "joint2", "joint3"]
     watcher.spin_until(lambda: health.get("refused") == "2", "the refusals in the diagnostics")
     assert "velocity is empty" in health["message"]
+
+
+def test_a_late_estimate_that_nobody_waits_for_does_not_begin_a_new_run(start: Start, watcher: Any) -> None:
+    node(start, "controller", controller="pid")
+    states = watcher.node.create_publisher(JointState, "/joint_states", 10)
+    estimates = watcher.node.create_publisher(JointState, "/disturbance_estimate", 10)
+    torques: list[list[float]] = []
+    watcher.node.create_subscription(
+        JointState, "/joint_torques", lambda m: torques.append(list(m.effort)), 10
+    )
+    watcher.spin_until(
+        lambda: (
+            states.get_subscription_count() == estimates.get_subscription_count() == 1
+            and watcher.node.count_publishers("/joint_torques")
+        ),
+        "the controller",
+    )
+    time.sleep(0.5)
+    scenario = load("paper", controller="pid")
+    stage = ControllerStage(scenario.controller, scenario.reference, scenario.robot, scenario.dt)
+    message = JointState(name=list(scenario.robot.joint_names), velocity=[0.0] * 3, effort=[0.0] * 3)
+    expected = []
+    for tick in range(6):
+        time_ns = tick * scenario.dt_ns
+        message.position = [0.1 * tick, 0.2, -0.1]
+        message.header.stamp.nanosec = time_ns
+        measured = Measurement(tuple(message.position), (0.0,) * 3, (0.0,) * 3)
+        expected.append(list(stage.step(time_ns, measured, (0.0,) * 3)[0]))
+        states.publish(message)
+        watcher.spin_until(lambda: len(torques) == len(expected), f"the torque of tick {tick}")
+        if tick == 3:  # an observer that is slow to answer tick 0
+            estimates.publish(JointState(name=message.name, effort=[1.0] * 3))
+            time.sleep(0.1)
+    assert torques == expected
 
 
 def test_the_reference_pages_are_up_to_date() -> None:

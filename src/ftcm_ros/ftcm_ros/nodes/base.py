@@ -318,7 +318,7 @@ class ReactiveNode(SuiteNode):
         time_ns, aligner = sample.time_ns, self.aligner
         begin = time.monotonic_ns()
         if aligner.last is not None:
-            if time_ns == 0 < aligner.last:  # tick 0 begins a run
+            if time_ns == 0 < aligner.last and name in aligner.required:  # tick 0 begins a run
                 self.configure()
             elif time_ns == aligner.last and name == self._first:  # the plant asks again
                 for publish, data in self._answer:
