@@ -64,9 +64,18 @@ def _end_with_parent() -> None:
 
 @contextlib.contextmanager
 def _children_ignore_interrupts() -> Iterator[None]:
-    """Let processes started inside ignore Ctrl-C; this process ends them itself."""
-    before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})  # inherited; one that comes now waits
+    """Let processes started inside ignore Ctrl-C; this process ends them itself, once all are started."""
+    came: list[int] = []
+    # The mask is inherited. It does not keep a signal from the other threads of this process, such as
+    # those of numpy, and Python then handles it here all the same: hence a handler that only notes it.
+    in_main = threading.current_thread() is threading.main_thread()
+    handler = signal.signal(signal.SIGINT, lambda number, _: came.append(number)) if in_main else None
+    mask = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
     try:
         yield
     finally:
-        signal.pthread_sigmask(signal.SIG_SETMASK, before)
+        signal.pthread_sigmask(signal.SIG_SETMASK, mask)
+        if in_main:
+            signal.signal(signal.SIGINT, handler)
+    if came:
+        signal.raise_signal(signal.SIGINT)
