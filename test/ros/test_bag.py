@@ -3,8 +3,12 @@
 
 from __future__ import annotations
 
+import contextlib
+import resource
+import shutil
 import subprocess
 import sys
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
@@ -12,6 +16,8 @@ import numpy as np
 import pytest
 
 pytest.importorskip("rosbags")
+from hypothesis import given, settings
+from hypothesis import strategies as st
 from rosbags.highlevel import AnyReader
 from rosbags.rosbag2 import Writer
 from rosbags.typesys import Stores, get_typestore
@@ -196,7 +202,7 @@ def test_mistakes_are_one_line_each(trace: Trace, tmp_path: Path) -> None:
     assert "no messages on /joint_states" in one_line(analyse(tmp_path / "topics"))
     write(tmp_path / "bag", trace)
     damaged = tmp_path / "bag" / "bag.mcap"
-    damaged.write_bytes(damaged.read_bytes()[:-5000])
+    damaged.write_bytes(bytes(8) + damaged.read_bytes()[8:])
     assert "cannot be read" in one_line(analyse(tmp_path / "bag"))
     write(tmp_path / "good", trace)
     assert "exists already" in one_line(analyse(tmp_path / "good", "--output", tmp_path))
@@ -212,3 +218,231 @@ def test_analyse_compares_bags_and_writes_results(trace: Trace, tmp_path: Path) 
     assert "two" in run.stdout
     assert (tmp_path / "out" / "summary.json").is_file()
     assert len(list((tmp_path / "out" / "figures").glob("*.png"))) >= 6
+
+
+def unclosed(folder: Path, trace: Trace, storage: str) -> list[tuple[Path, int, int]]:
+    """What a recorder that is killed leaves behind, at several moments: bag, ticks flushed, messages given.
+
+    A copy of the folder has what the process has handed to the system, and nothing else.
+    """
+    assert trace.scenario is not None
+    recording = Recording(folder / "live", storage, trace.scenario)
+    if storage == "sqlite3":  # so that a transaction reaches the file before its end
+        recording._writer.storage.conn.execute("PRAGMA cache_size = 5")
+    found, flushed, given_ = [], 0, 0
+    for k in range(trace.ticks):
+        for i, (topic, data) in enumerate(messages(trace, k)):
+            recording.write(topic, 10**18 + k * 10**6, data)
+            given_ += 1
+            if (k, i) in {(0, 2), (49, 4), (50, 1), (99, 4), (130, 3), (250, 0)}:
+                found.append((folder / f"killed-{k}-{i}", flushed, given_))
+                shutil.copytree(folder / "live", found[-1][0])
+        if k % 50 == 49:
+            recording.flush()
+            flushed = k + 1
+    recording.close()
+    (folder / "live" / "metadata.yaml").unlink()
+    found.append((folder / "live", trace.ticks, given_))
+    return found
+
+
+def contents(folder: Path) -> dict[str, bytes]:
+    return {p.name: p.read_bytes() for p in folder.iterdir()}
+
+
+def is_prefix(part: Trace, whole: Trace) -> bool:
+    return all(np.array_equal(getattr(part, c), getattr(whole, c)[: part.ticks]) for c in COLUMNS)
+
+
+@pytest.mark.parametrize("storage", STORAGE)
+def test_of_a_bag_not_closed_all_that_was_flushed_is_read(trace: Trace, tmp_path: Path, storage: str) -> None:
+    journals = 0
+    for path, flushed, given_ in unclosed(tmp_path, trace, storage):
+        before = contents(path)
+        journals += any(name.endswith("-journal") for name in before)
+        if flushed == 0:
+            with pytest.raises(FtcmError, match=r"cannot be read: Could not read metadata"):
+                read_bag(path)
+        else:
+            bag = read_bag(path)
+            assert flushed <= bag.trace.ticks <= -(-given_ // 5)
+            assert is_prefix(bag.trace, trace)
+            assert bag.missing == {}
+            assert f"complete to t = {(bag.trace.ticks - 1) / 1000:g} s of 0.3 s" in bag.recovered
+            assert bag.trace.scenario == trace.scenario
+            assert result(bag.trace)["metrics"]["whole"]["torque_rms"][0] is not None
+        assert contents(path) == before
+    assert bool(journals) == (storage == "sqlite3")
+
+
+class Torn:
+    """The file of a whole bag, to be cut, and its size after each flush with the ticks in it."""
+
+    def __init__(self, file: Path, ticks: dict[int, int], trace: Trace) -> None:
+        self.name, self.data, self.ticks, self.trace = file.name, file.read_bytes(), ticks, trace
+        self.folder = file.parent.with_name("torn")
+
+    def read(self, data: bytes) -> Trace | str:
+        """Read a bag whose file is this instead; or why it cannot be read."""
+        shutil.rmtree(self.folder, ignore_errors=True)
+        self.folder.mkdir()
+        (self.folder / self.name).write_bytes(data)
+        try:
+            return read_bag(self.folder).trace
+        except FtcmError as error:
+            return str(error)
+
+
+@pytest.fixture(scope="module", params=list(STORAGE))
+def torn(trace: Trace, tmp_path_factory: pytest.TempPathFactory, request: pytest.FixtureRequest) -> Torn:
+    folder = tmp_path_factory.mktemp("torn")
+    assert trace.scenario is not None
+    recording = Recording(folder / "bag", request.param, trace.scenario)
+    (file,) = (folder / "bag").iterdir()
+    ticks = {file.stat().st_size: 0}
+    for k in range(trace.ticks):
+        for topic, data in messages(trace, k):
+            recording.write(topic, 10**18 + k * 10**6, data)
+        if k % 30 == 29 or k == trace.ticks - 1:
+            recording.flush()
+            ticks[file.stat().st_size] = k + 1
+    recording.close()
+    return Torn(file, ticks, trace)
+
+
+def is_one_line(found: Trace | str) -> bool:
+    return isinstance(found, str) and len(found.splitlines()) == 1 and found.startswith("bag ")
+
+
+@settings(max_examples=40, deadline=None)
+@given(share=st.floats(0.0, 1.0))
+def test_a_file_cut_anywhere_gives_what_was_flushed_before(torn: Torn, share: float) -> None:
+    data = torn.data[: round(share * len(torn.data))]
+    found = torn.read(data)
+    ticks = 0
+    if isinstance(found, Trace):
+        ticks = found.ticks
+        assert is_prefix(found, torn.trace)
+    else:
+        assert is_one_line(found)
+    if torn.name.endswith("mcap"):  # a page of sqlite3 that is missing makes the whole file useless
+        assert ticks == max((n for size, n in torn.ticks.items() if size <= len(data)), default=0)
+
+
+@settings(max_examples=20, deadline=None)
+@given(start=st.floats(0.0, 1.0), length=st.sampled_from([1, 9, 4096, 10**6]))
+def test_a_file_with_a_hole_is_read_or_refused_in_one_line(torn: Torn, start: float, length: int) -> None:
+    begin = round(start * len(torn.data))
+    hole = bytes(min(length, len(torn.data) - begin))
+    found = torn.read(torn.data[:begin] + hole + torn.data[begin + len(hole) :])
+    assert isinstance(found, Trace) or is_one_line(found)
+
+
+@pytest.mark.parametrize("storage", STORAGE)
+def test_analyse_says_what_it_recovered_and_repairs(trace: Trace, tmp_path: Path, storage: str) -> None:
+    path, _, _ = unclosed(tmp_path, trace, storage)[4]
+    run = analyse(path, "--repair", tmp_path / "repaired")
+    assert run.returncode == 0, run.stderr
+    warning, repaired = run.stderr.strip().splitlines()[::-1][:2]
+    assert "bag was not closed; recovered: complete to t = 0.0" in warning
+    assert "joint_states 100" in warning
+    assert "messages in" in repaired
+    with AnyReader([tmp_path / "repaired"]) as reader:
+        assert {c.ext.offered_qos_profiles[0].depth for c in reader.connections if c.topic[1] == "j"} == {
+            4000
+        }
+    again = read_bag(tmp_path / "repaired")
+    assert (tmp_path / "repaired" / "metadata.yaml").exists()
+    assert again.recovered in warning
+    assert all(np.array_equal(getattr(again.trace, c), getattr(read_bag(path).trace, c)) for c in COLUMNS)
+    assert again.trace.scenario == trace.scenario
+    assert "exists already" in one_line(analyse(path, "--repair", tmp_path / "repaired"))
+    write(tmp_path / "good", trace)
+    assert "nothing to repair" in one_line(analyse(tmp_path / "good", "--repair", tmp_path / "x"))
+    assert "one bag; 2" in one_line(analyse(path, path, "--repair", tmp_path / "x"))
+
+
+@contextlib.contextmanager
+def largest_file(size: int) -> Iterator[None]:
+    """No file of this process can grow beyond a size: the same error path as a full disk, without one."""
+    soft, hard = resource.getrlimit(resource.RLIMIT_FSIZE)
+    resource.setrlimit(resource.RLIMIT_FSIZE, (size, hard))
+    try:
+        yield
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, (soft, hard))
+
+
+@pytest.mark.parametrize("storage", STORAGE)
+@pytest.mark.parametrize("at", ["flush", "write", "close"])
+def test_a_bag_that_cannot_grow_keeps_what_it_has_and_says_so(
+    trace: Trace, tmp_path: Path, storage: str, at: str
+) -> None:
+    assert trace.scenario is not None
+    recording = Recording(tmp_path / "bag", storage, trace.scenario)
+    if storage == "sqlite3":
+        recording._writer.storage.conn.execute("PRAGMA cache_size = 5")
+
+    def fill(begin: int, end: int) -> None:
+        for k in range(begin, end):
+            for topic, data in messages(trace, k):
+                recording.write(topic, 10**18 + k * 10**6, data)
+
+    def go_on() -> None:
+        if at == "write":
+            for _ in range(10):  # without a flush: mcap goes to the file at 1 MiB
+                fill(100, 300)
+        fill(100, 200)
+        recording.flush() if at == "flush" else recording.close()
+
+    fill(0, 100)
+    recording.flush()
+    (file,) = (tmp_path / "bag").iterdir()
+    with largest_file(file.stat().st_size + 20_000), pytest.raises(FtcmError) as caught:
+        go_on()
+    text = str(caught.value)
+    assert str(tmp_path / "bag") in text
+    assert "cannot be written: " in text
+    assert "every tick up to t = 0.099 s is kept in it" in text
+    bag = read_bag(tmp_path / "bag")
+    assert bag.trace.ticks == 100
+    assert is_prefix(bag.trace, trace)
+
+
+@pytest.mark.parametrize("storage", STORAGE)
+def test_a_bag_that_cannot_be_begun_leaves_nothing(trace: Trace, tmp_path: Path, storage: str) -> None:
+    with largest_file(3000), pytest.raises(FtcmError, match="cannot be made"):
+        Recording(tmp_path / "bag", storage, trace.scenario)  # type: ignore[arg-type]
+    assert list(tmp_path.iterdir()) == []
+
+
+@pytest.mark.parametrize(
+    ("name", "storage", "text"),
+    [
+        ("file", "mcap", "exists already"),
+        ("link", "mcap", "exists already"),
+        ("file/bag", "mcap", "cannot be made: Not a directory"),
+        ("x" * 300, "mcap", "cannot be made: File name too long"),
+        ("run#1", "sqlite3", "sqlite3 storage takes no"),
+        ("/proc/bag", "sqlite3", "cannot be made: No such file"),
+    ],
+)
+def test_a_name_that_cannot_be_a_bag_is_one_line(
+    trace: Trace, tmp_path: Path, name: str, storage: str, text: str
+) -> None:
+    (tmp_path / "file").write_text("mine")
+    (tmp_path / "link").symlink_to(tmp_path / "nowhere")
+    with pytest.raises(FtcmError, match=text):
+        Recording(tmp_path / name, storage, trace.scenario)  # type: ignore[arg-type]
+    assert sorted(p.name for p in tmp_path.iterdir()) == ["file", "link"]
+    assert (tmp_path / "file").read_text() == "mine"
+
+
+def test_results_that_cannot_be_written_are_one_line(trace: Trace, tmp_path: Path) -> None:
+    write(tmp_path / "bag", trace)
+    run = subprocess.run(
+        ["prlimit", "--fsize=2000", sys.executable, "-m", "ftcm_ros.analyse", tmp_path / "bag", "--output",
+         tmp_path / "out"],
+        capture_output=True, text=True, check=False,
+    )  # fmt: skip
+    assert "cannot be written to" in one_line(run)

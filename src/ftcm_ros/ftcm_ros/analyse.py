@@ -13,6 +13,7 @@ from ftcm_core.report.results import labelled, new_folder, report, to_json, writ
 from ftcm_core.scenario import load
 from ftcm_ros.bag import BagContents, read_bag
 from ftcm_ros.latency import hop_times, percentiles, write_figure
+from ftcm_ros.recovery import repair
 
 
 def build_parser() -> argparse.ArgumentParser:
@@ -27,6 +28,9 @@ def build_parser() -> argparse.ArgumentParser:
     )
     parser.add_argument(
         "--output", type=Path, metavar="DIR", help="write summary.json, table.md and figures/ there"
+    )
+    parser.add_argument(
+        "--repair", type=Path, metavar="NEW", help="write a bag that was not closed anew, closed, to NEW"
     )
     parser.add_argument("--json", action="store_true", help="print the results as one JSON object")
     return parser
@@ -50,10 +54,14 @@ def analyse(options: argparse.Namespace) -> int:
     scenario = load(options.scenario) if options.scenario else None
     folder = new_folder(options.output) if options.output else None
     bags = [read_bag(path, scenario) for path in options.bags]
+    if options.repair:
+        _repair(bags, options.repair)
     traces = list(zip(labels(bags), (b.trace for b in bags)))
     for label, bag in zip((n for n, _ in traces), bags):
         if bag.runs > 1:
             print(f"warning: {label}: the bag holds {bag.runs} runs; this is the last one", file=sys.stderr)
+        if bag.recovered:
+            print(f"warning: {label}: bag was not closed; recovered: {bag.recovered}", file=sys.stderr)
         if bag.missing:
             print(f"warning: {label}: ticks missing in the bag: {bag.missing}", file=sys.stderr)
         if bag.trace.scenario is None:
@@ -74,6 +82,16 @@ def analyse(options: argparse.Namespace) -> int:
         print(f"results: {folder}/summary.json, table.md, figures/", file=sys.stderr)
     print(to_json({"results": results, **extra}, indent=1) if options.json else report(results).rstrip())
     return 0
+
+
+def _repair(bags: list[BagContents], target: Path) -> None:
+    if len(bags) != 1:
+        raise FtcmError(f"--repair takes one bag; {len(bags)} are given")
+    (bag,) = bags
+    if not bag.recovered:
+        raise FtcmError(f"bag {str(bag.path)!r} is whole; there is nothing to repair")
+    count = repair(bag.path, target, bag.recovered)
+    print(f"repaired: {count} messages in {target}", file=sys.stderr)
 
 
 def main(argv: list[str] | None = None) -> None:

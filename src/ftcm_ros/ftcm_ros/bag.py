@@ -5,8 +5,7 @@ from __future__ import annotations
 
 import dataclasses
 import json
-from collections import defaultdict
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -19,8 +18,10 @@ from rosbags.typesys import Stores, get_typestore
 from ftcm_core.errors import FtcmError
 from ftcm_core.registry import find
 from ftcm_core.scenario import Scenario, from_mapping, parse_yaml
+from ftcm_core.signals import NANOSECONDS
 from ftcm_core.trace import COLUMNS, Change, Trace
 from ftcm_ros.codec import CodecError, JointStateCodec, read_joint_state
+from ftcm_ros.recovery import Message, scan
 from ftcm_ros.topics import (
     CHANGES,
     DATA,
@@ -48,6 +49,8 @@ _SOURCES = {
 }
 """Column: its topic, and which array of the message."""
 
+_WANTED = tuple(t.name.lstrip("/") for t in (*DATA, TRUE_STATE, *EVENTS))
+
 Decoded = tuple[npt.NDArray[np.int64], list["npt.NDArray[np.float64] | None"]]
 
 
@@ -69,10 +72,12 @@ class BagContents:
     """Stamp of each message, ns, per data topic."""
     runs: int = 1
     """Runs in the bag; the trace is the last one."""
+    recovered: str = ""
+    """Of a bag that was not closed: what could be read, in one line."""
 
 
 def read_bag(path: Path, scenario: Scenario | None = None) -> BagContents:
-    """Read a bag.
+    """Read a bag; of one that was not closed or lost its end, what can be read.
 
     Args:
         path: folder of the bag.
@@ -81,9 +86,12 @@ def read_bag(path: Path, scenario: Scenario | None = None) -> BagContents:
     Raises:
         FtcmError: there is no bag, it cannot be read, or it has not the topics; in one line.
     """
-    raw, published, metadata = _read_messages(path)
+    raw, published, damage = _read_messages(path)
+    metadata = {} if damage else _custom_data(path)
     others = {name: raw.pop(name, []) for name in (CHANGES.name, SCENARIO.name, DIAGNOSTICS.name.lstrip("/"))}
     if not raw.get(JOINT_STATES.name):
+        if damage:
+            raise FtcmError(f"bag {str(path)!r} cannot be read: {damage}")
         raise FtcmError(
             f"bag {str(path)!r} has no messages on /{JOINT_STATES.name}; expected this suite's topics"
         )
@@ -96,6 +104,9 @@ def read_bag(path: Path, scenario: Scenario | None = None) -> BagContents:
     names = scenario.robot.joint_names if scenario else _joint_names(path, raw[JOINT_STATES.name][0])
     decoded = {name: _decode(path, name, messages, names) for name, messages in raw.items() if messages}
     runs = _keep_last_run(decoded, published)
+    recovered = metadata.get("recovered", "")
+    if damage:
+        recovered = _cut_ragged_end(decoded, published, scenario)
     stamps = np.unique(np.concatenate([times for times, _ in decoded.values()]))
     dt_ns = scenario.dt_ns if scenario else int(np.median(np.diff(stamps))) if len(stamps) > 1 else 1_000_000
     columns: dict[str, Any] = {c: _column(decoded, stamps, len(names), *_SOURCES[c]) for c in COLUMNS}
@@ -119,36 +130,67 @@ def read_bag(path: Path, scenario: Scenario | None = None) -> BagContents:
         joint_names=names, dt=dt_ns / 1e9, time_ns=stamps, **columns,
         scenario=scenario, status=status, detail=detail, changes=tuple(changes),
     )  # fmt: skip
-    return BagContents(path, trace, missing, nodes, metadata, published, stamps_of, runs)
+    return BagContents(path, trace, missing, nodes, metadata, published, stamps_of, runs, recovered)
 
 
-def _read_messages(
-    path: Path,
-) -> tuple[dict[str, list[bytes]], dict[str, npt.NDArray[np.int64]], dict[str, str]]:
-    wanted = {t.name.lstrip("/") for t in (*DATA, TRUE_STATE, *EVENTS)}
+def _read_messages(path: Path) -> tuple[dict[str, list[bytes]], dict[str, npt.NDArray[np.int64]], str]:
+    """Return messages and times per topic, and what was wrong with a bag that had to be scanned."""
     if not path.exists():
         raise FtcmError(f"no bag {str(path)!r}; expected the folder of a rosbag2 bag")
-    raw: dict[str, list[bytes]] = defaultdict(list)
-    times: dict[str, list[int]] = defaultdict(list)
+    damage = ""
     try:
         with Reader(path) as reader:
-            # A namespace in front of the topics does not matter.
-            chosen = {
-                c.id: c.topic.rpartition("/")[2]
-                for c in reader.connections
-                if c.topic.rpartition("/")[2] in wanted
-            }
-            sinks = {i: (raw[name], times[name]) for i, name in chosen.items()}
-            for connection, when, data in reader.messages([c for c in reader.connections if c.id in chosen]):
-                messages, stamps = sinks[connection.id]
-                messages.append(bytes(data))
-                stamps.append(when)
-    except FtcmError:
-        raise
+            wanted = [c for c in reader.connections if _name(c) in _WANTED]
+            raw, times = _by_topic(reader.messages(wanted) if wanted else ())
     except Exception as error:  # rosbags has many error types, none of them a programming mistake here
-        reason = " ".join(str(error).split()) or type(error).__name__
-        raise FtcmError(f"bag {str(path)!r} cannot be read: {reason}") from None
-    return raw, {k: np.array(v, dtype=np.int64) for k, v in times.items()}, _custom_data(path)
+        damage = " ".join(str(error).split()) or type(error).__name__
+        try:
+            raw, times = _by_topic(scan(path))
+        except OSError as again:
+            raise FtcmError(f"bag {str(path)!r} cannot be read: {again.strerror or again}") from None
+    return raw, {k: np.array(v, dtype=np.int64) for k, v in times.items()}, damage
+
+
+def _name(connection: Any) -> str:
+    """A namespace in front of the topics does not matter."""
+    return str(connection.topic.rpartition("/")[2])
+
+
+def _by_topic(messages: Iterable[Message]) -> tuple[dict[str, list[bytes]], dict[str, list[int]]]:
+    raw: dict[str, list[bytes]] = {name: [] for name in _WANTED}
+    times: dict[str, list[int]] = {name: [] for name in _WANTED}
+    sinks: dict[str, tuple[list[bytes], list[int]] | None] = {}
+    for connection, when, data in messages:
+        topic = connection.topic
+        if topic not in sinks:
+            name = _name(connection)
+            sinks[topic] = (raw[name], times[name]) if name in _WANTED else None
+        sink = sinks[topic]
+        if sink is not None:
+            sink[0].append(bytes(data))
+            sink[1].append(when)
+    return {k: v for k, v in raw.items() if v}, {k: v for k, v in times.items() if v}
+
+
+def _cut_ragged_end(
+    decoded: dict[str, Decoded], published: dict[str, npt.NDArray[np.int64]], scenario: Scenario | None
+) -> str:
+    """End where the first of the topics ends that were published to the last; return what there was.
+
+    A topic that had ended more than a second before was not cut off by the recorder's end.
+    """
+    last = {name: published[name].max() for name, (times, _) in decoded.items() if len(times)}
+    cut = [name for name, when in last.items() if when > max(last.values()) - NANOSECONDS]
+    end = min(int(decoded[name][0].max()) for name in cut)
+    ticks = ", ".join(f"{name} {len(np.unique(times))}" for name, (times, _) in decoded.items())
+    for name, (stamps, arrays) in decoded.items():
+        keep = stamps <= end
+        decoded[name] = stamps[keep], [None if a is None else a[keep] for a in arrays]
+        published[name] = published[name][keep]
+    if scenario is None:
+        return f"complete to t = {end / 1e9:g} s (ticks: {ticks})"
+    later = "" if end >= scenario.last_tick * scenario.dt_ns else "; later ones are not in the file"
+    return f"complete to t = {end / 1e9:g} s of {scenario.duration:g} s (ticks: {ticks}){later}"
 
 
 def _custom_data(path: Path) -> dict[str, str]:

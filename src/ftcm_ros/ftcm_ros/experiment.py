@@ -292,20 +292,25 @@ def run_experiment(options: argparse.Namespace) -> int:
             run = Run(scenario, label, folder, options, domain.number)
             try:
                 run.execute(node)
-            except FtcmError as error:
+            except (FtcmError, OSError) as error:
                 failure = f"{label}: {error}"
             except Interrupted:
                 failure = f"{label}: stopped by the user"
             timing[label] = run.timing
-            if (run.bag / "metadata.yaml").exists():
+            if run.bag.exists():
                 finished.append((label, run.bag))
+                if not failure and not (run.bag / "metadata.yaml").exists():
+                    failure = f"{label}: the bag was not closed; {run.processes.last_words('recorder')}"
             if failure:
                 break
     finally:
         node.destroy_node()
         rclpy.try_shutdown()
         domain.release()
-    report(folder, finished, timing, options)
+    try:
+        report(folder, finished, timing, options)
+    except FtcmError as error:
+        failure = f"{failure}; {error}" if failure else str(error)
     if failure:
         say(f"experiment: error: {failure}")
         return 130 if options.stop_requested else 1
@@ -315,12 +320,23 @@ def run_experiment(options: argparse.Namespace) -> int:
 def report(
     folder: Path, bags: list[tuple[str, Path]], timing: dict[str, Any], options: argparse.Namespace
 ) -> None:
-    """Read the bags back and write table, figures and summary."""
+    """Read the bags back and write table, figures and summary.
+
+    Raises:
+        FtcmError: a bag cannot be read, and the others are reported before; or the results cannot be written.
+    """
     if not bags:
         return
     say("reading the bags back ...")
-    contents = [(label, read_bag(path)) for label, path in bags]
+    contents, unreadable = [], []
+    for label, path in bags:
+        try:
+            contents.append((label, read_bag(path)))
+        except FtcmError as error:
+            unreadable.append(str(error))
     for label, bag in contents:
+        if bag.recovered:
+            say(f"warning: {label}: bag was not closed; recovered: {bag.recovered}")
         if bag.missing:
             say(f"warning: {label}: ticks missing in the bag: {bag.missing}")
     samples = [(label, hop_times(b)) for label, b in contents]
@@ -331,13 +347,16 @@ def report(
         "missing_ticks": {label: bag.missing for label, bag in contents},
         "bags": {label: str(path.relative_to(folder)) for label, path in bags},
     }
-    write_results(
-        folder, [(label, bag.trace) for label, bag in contents], extra, figures=not options.no_figures
-    )
-    if not options.no_figures:
-        write_figure(samples, folder / "figures" / "timing.png")
-    print((folder / "table.md").read_text(encoding="utf-8").rstrip())
-    say(f"results: {folder}/summary.json, table.md, figures/, bags/")
+    if contents:
+        write_results(
+            folder, [(label, bag.trace) for label, bag in contents], extra, figures=not options.no_figures
+        )
+        if not options.no_figures:
+            write_figure(samples, folder / "figures" / "timing.png")
+        print((folder / "table.md").read_text(encoding="utf-8").rstrip())
+        say(f"results: {folder}/summary.json, table.md, figures/, bags/")
+    if unreadable:
+        raise FtcmError("; ".join(unreadable))
 
 
 def say(text: str) -> None:

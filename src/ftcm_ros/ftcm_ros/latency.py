@@ -9,6 +9,7 @@ import numpy as np
 import numpy.typing as npt
 
 from ftcm_core.errors import FtcmError
+from ftcm_core.report.results import writing
 from ftcm_ros.bag import BagContents
 from ftcm_ros.topics import DISTURBANCE, ESTIMATE, JOINT_STATES, TORQUES
 
@@ -57,7 +58,7 @@ def write_figure(runs: list[tuple[str, dict[str, npt.NDArray[np.float64]]]], fil
     """Draw how often latency and jitter exceed a value, one line per run, one panel per quantity.
 
     Raises:
-        FtcmError: matplotlib is not installed.
+        FtcmError: matplotlib is not installed, or the file cannot be written.
     """
     try:
         from matplotlib.backends.backend_agg import FigureCanvasAgg
@@ -88,5 +89,6 @@ def write_figure(runs: list[tuple[str, dict[str, npt.NDArray[np.float64]]]], fil
     first = figure.axes[0]
     first.set_ylabel("share of ticks above")
     first.legend(fontsize=8)
-    file.parent.mkdir(parents=True, exist_ok=True)
-    figure.savefig(file, dpi=130)
+    with writing(file.parent):
+        file.parent.mkdir(parents=True, exist_ok=True)
+        figure.savefig(file, dpi=130)

@@ -3,20 +3,25 @@
 
 from __future__ import annotations
 
+import contextlib
 import json
+import os
+import shutil
+import sqlite3
+import time
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
 from rosbags.interfaces import Qos, QosDurability, QosHistory, QosLiveliness, QosReliability, QosTime
-from rosbags.rosbag2 import StoragePlugin, Writer
+from rosbags.rosbag2 import StoragePlugin, Writer, WriterError
 from rosbags.typesys import Stores, get_typestore
 
 from ftcm_core.errors import FtcmError
 from ftcm_core.provenance import provenance
 from ftcm_core.scenario import Scenario
 from ftcm_ros.codec import stamp_of
-from ftcm_ros.topics import DEPTH, EVENTS, Topic, data_topics
+from ftcm_ros.topics import DEPTH, EVENTS, SCENARIO, Topic, data_topics
 
 STORAGE = {"mcap": StoragePlugin.MCAP, "sqlite3": StoragePlugin.SQLITE3}
 _FOREVER = QosTime(0x7FFFFFFFFFFFFFFF // 10**9, 0x7FFFFFFFFFFFFFFF % 10**9)
@@ -47,11 +52,39 @@ class TopicCount:
         self.last = time_ns
 
 
+def reason_of(error: OSError | sqlite3.Error) -> str:
+    """Say in short why a file could not be written."""
+    return (isinstance(error, OSError) and error.strerror) or str(error)
+
+
+def new_bag(path: Path, storage: str) -> Writer:
+    """Make an empty bag and return its writer, open.
+
+    Raises:
+        FtcmError: the target exists or cannot be made.
+    """
+    if os.path.lexists(path):
+        raise FtcmError(f"bag {str(path)!r} exists already; choose another name or remove it")
+    if storage == "sqlite3" and set(str(path)) & set("?#%"):
+        raise FtcmError(
+            f"bag {str(path)!r} cannot be made: sqlite3 storage takes no '?', '#' or '%' in a path; "
+            "choose another name, or mcap"
+        )
+    try:
+        writer = Writer(path, version=9, storage_plugin=STORAGE[storage])
+        writer.open()
+    except (OSError, sqlite3.Error, WriterError) as error:
+        shutil.rmtree(path, ignore_errors=True)  # it did not exist before
+        reason = str(error) if isinstance(error, WriterError) else reason_of(error)
+        raise FtcmError(f"bag {str(path)!r} cannot be made: {reason}") from None
+    return writer
+
+
 class Recording:
     """A bag being written."""
 
     def __init__(self, path: Path, storage: str, scenario: Scenario) -> None:
-        """Create the bag.
+        """Create the bag with its scenario in it, so that a bag that is never closed has it too.
 
         Raises:
             FtcmError: the target exists or cannot be made.
@@ -59,30 +92,54 @@ class Recording:
         self.path = path
         self.scenario = scenario
         self.counts = {topic.name: TopicCount() for topic in data_topics(scenario)}
-        if path.exists():
-            raise FtcmError(f"bag {str(path)!r} exists already; choose another name or remove it")
-        self._writer = Writer(path, version=9, storage_plugin=STORAGE[storage])
-        try:
-            self._writer.open()
-        except OSError as error:
-            raise FtcmError(f"bag {str(path)!r} cannot be made: {error.strerror or error}") from None
+        self._in_file: int | None = None
+        """Stamp up to which every data topic is in the file, whatever becomes of this process, ns."""
+        self._writer = new_bag(path, storage)
         typestore = get_typestore(Stores.ROS2_JAZZY)
-        self._connections = {
-            topic.name: self._writer.add_connection(
-                "/" + topic.name.lstrip("/"),
-                topic.type,
-                typestore=typestore,
-                offered_qos_profiles=[_qos(topic)],
+        text = typestore.types[SCENARIO.type](scenario.to_yaml())
+        try:
+            self._connections = {
+                topic.name: self._writer.add_connection(
+                    "/" + topic.name.lstrip("/"),
+                    topic.type,
+                    typestore=typestore,
+                    offered_qos_profiles=[_qos(topic)],
+                )
+                for topic in (*data_topics(scenario), *EVENTS)
+            }
+            self._writer.write(
+                self._connections[SCENARIO.name],
+                time.time_ns(),
+                typestore.serialize_cdr(text, SCENARIO.type),
             )
-            for topic in (*data_topics(scenario), *EVENTS)
-        }
+            _flush(self._writer.storage)
+        except (OSError, sqlite3.Error) as error:
+            self._abort()
+            shutil.rmtree(path, ignore_errors=True)  # nothing of a run is in it
+            raise FtcmError(f"bag {str(path)!r} cannot be made: {reason_of(error)}") from None
 
     def write(self, topic: Topic, published_ns: int, data: bytes) -> None:
-        """Write one message as received; a data topic's tick is counted."""
-        self._writer.write(self._connections[topic.name], published_ns, data)
+        """Write one message as received; a data topic's tick is counted.
+
+        Raises:
+            FtcmError: it cannot be written; the bag is given up, and says what it keeps.
+        """
+        try:
+            self._writer.write(self._connections[topic.name], published_ns, data)
+        except (OSError, sqlite3.Error) as error:
+            raise self._given_up(error) from None
         count = self.counts.get(topic.name)
         if count is not None:
             count.add(stamp_of(data), self.scenario.dt_ns)
+
+    def _given_up(self, error: OSError | sqlite3.Error) -> FtcmError:
+        self._abort()
+        kept = "no tick is" if self._in_file is None else f"every tick up to t = {self._in_file / 1e9:g} s is"
+        return FtcmError(f"bag {str(self.path)!r} cannot be written: {reason_of(error)}; {kept} kept in it")
+
+    def _abort(self) -> None:
+        with contextlib.suppress(OSError, sqlite3.Error):  # what is still in memory finds no room either
+            self._writer.abort()
 
     @property
     def complete_to(self) -> int | None:
@@ -104,24 +161,43 @@ class Recording:
         }
 
     def flush(self) -> None:
-        """Bring what has been written to the file, so that a killed recorder loses little."""
-        storage: Any = self._writer.storage
-        if hasattr(storage, "close_chunk"):
-            if storage.chunk.bio.tell():
-                storage.close_chunk()
-            storage.bio.flush()
-        elif hasattr(storage, "conn"):
-            storage.conn.commit()
+        """Bring what has been written to the file, so that a killed recorder loses little.
+
+        Raises:
+            FtcmError: as :meth:`write`.
+        """
+        try:
+            _flush(self._writer.storage)
+        except (OSError, sqlite3.Error) as error:
+            raise self._given_up(error) from None
+        self._in_file = self.complete_to
 
     def close(self, extra: Mapping[str, Any] | None = None) -> None:
-        """Finish the bag with scenario, versions, seed and counts in its metadata."""
+        """Finish the bag with scenario, versions, seed and counts in its metadata.
+
+        Raises:
+            FtcmError: as :meth:`write`.
+        """
+        self.flush()
         self._writer.set_custom_data("scenario", self.scenario.to_yaml())
         self._writer.set_custom_data("seed", str(self.scenario.seed))
         self._writer.set_custom_data("provenance", json.dumps(provenance()))
         self._writer.set_custom_data("topics", json.dumps(self.summary()))
         for key, value in (extra or {}).items():
             self._writer.set_custom_data(key, json.dumps(value))
-        self._writer.close()
+        try:
+            self._writer.close()
+        except (OSError, sqlite3.Error) as error:
+            raise self._given_up(error) from None
+
+
+def _flush(storage: Any) -> None:
+    if hasattr(storage, "close_chunk"):
+        if storage.chunk.bio.tell():
+            storage.close_chunk()
+        storage.bio.flush()
+    elif hasattr(storage, "conn"):
+        storage.conn.commit()
 
 
 def _qos(topic: Topic) -> Qos:

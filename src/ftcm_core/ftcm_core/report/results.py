@@ -3,12 +3,13 @@
 
 from __future__ import annotations
 
+import contextlib
 import json
 import math
 import os
 import re
 import zipfile
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -64,21 +65,36 @@ def write_results(
         figures: whether to draw the figures.
 
     Raises:
-        FtcmError: matplotlib, for the figures, is not installed; the other files are written before.
+        FtcmError: matplotlib, for the figures, is not installed, and the other files are written before; or a
+            file cannot be written.
     """
-    folder.mkdir(parents=True, exist_ok=True)
     results = [labelled(label, trace) for label, trace in traces]
     seeds = {t.scenario.seed for _, t in traces if t.scenario}
     seed = seeds.pop() if len(seeds) == 1 else None  # each result's configuration has its own
     summary = {"results": results, "provenance": {**provenance(), "seed": seed}, **(extra or {})}
-    (folder / "summary.json").write_text(to_json(summary, indent=1) + "\n", encoding="utf-8")
-    (folder / "table.md").write_text(report(results), encoding="utf-8")
-    for label, trace in traces:
-        if trace.scenario:
-            name = "scenario" if len(traces) == 1 else f"scenario-{_slug(label)}"
-            (folder / f"{name}.yaml").write_text(trace.scenario.to_yaml(), encoding="utf-8")
-    if figures:
-        write_figures(traces, folder / "figures")
+    with writing(folder):
+        folder.mkdir(parents=True, exist_ok=True)
+        (folder / "summary.json").write_text(to_json(summary, indent=1) + "\n", encoding="utf-8")
+        (folder / "table.md").write_text(report(results), encoding="utf-8")
+        for label, trace in traces:
+            if trace.scenario:
+                name = "scenario" if len(traces) == 1 else f"scenario-{_slug(label)}"
+                (folder / f"{name}.yaml").write_text(trace.scenario.to_yaml(), encoding="utf-8")
+        if figures:
+            write_figures(traces, folder / "figures")
+
+
+@contextlib.contextmanager
+def writing(folder: Path) -> Iterator[None]:
+    """Say in one line where results could not be written, and why: a full disk, say.
+
+    Raises:
+        FtcmError: instead of an OSError.
+    """
+    try:
+        yield
+    except OSError as error:
+        raise FtcmError(f"results cannot be written to {str(folder)!r}: {error.strerror or error}") from None
 
 
 def labelled(label: str, trace: Trace) -> dict[str, Any]:

@@ -12,6 +12,7 @@ from typing import Any
 
 from builtin_interfaces.msg import Time
 
+from ftcm_core.errors import FtcmError
 from ftcm_core.signals import NANOSECONDS
 from ftcm_ros.nodes.base import SuiteNode, run
 from ftcm_ros.recording import Recording
@@ -41,6 +42,8 @@ class RecorderNode(SuiteNode):
         self._acknowledged = -1
         self._last_message = 0.0
         self._flushed = 0.0
+        self._lost = ""
+        """Why the bag could not be written further."""
         for topic in (*data_topics(self.scenario), *EVENTS):
             self.plane.subscribe(topic, self._handler(topic))
 
@@ -58,10 +61,23 @@ class RecorderNode(SuiteNode):
         """Make the bag."""
         self.recording = Recording(self._path, self._storage, self.scenario)
         self._acknowledged = -1
+        self._lost = ""
         self.get_logger().info(f"recording to {self._path}")
 
     def deactivate(self) -> None:
         """Take in what is still under way, then close the bag."""
+        try:
+            self._close()
+        except FtcmError as error:
+            self._give_up(error)
+            raise
+
+    def _give_up(self, error: FtcmError) -> None:
+        """Take nothing more in, and say why on /diagnostics; the caller ends the run with the same line."""
+        self.recording, self._lost = None, str(error)
+        self.report()
+
+    def _close(self) -> None:
         recording = self.recording
         if recording is None:
             return
@@ -78,7 +94,19 @@ class RecorderNode(SuiteNode):
         self.get_logger().info(f"closed {self._path}: {recording.counts['joint_states'].messages} ticks")
 
     def step(self) -> None:
-        """Take messages in, say how far the recording is, flush now and then."""
+        """Take messages in, say how far the recording is, flush now and then.
+
+        Raises:
+            FtcmError: the bag cannot be written; a run that is not recorded shall not go on unnoticed, so
+                the process ends.
+        """
+        try:
+            self._record()
+        except FtcmError as error:
+            self._give_up(error)
+            raise
+
+    def _record(self) -> None:
         self.plane.collect(BATCH_SECONDS)  # the queues hold seconds of messages
         recording = self.recording
         if recording is None:
@@ -98,6 +126,8 @@ class RecorderNode(SuiteNode):
 
     def health(self) -> tuple[str, str, dict[str, Any]]:
         """What is recorded and what is missing."""
+        if self._lost:
+            return "error", self._lost, {"bag": str(self._path)}
         recording = self.recording
         summary = recording.summary() if recording else self._summary
         missing = sum(c["missing"] or 0 for c in summary.values())
