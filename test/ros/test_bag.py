@@ -261,7 +261,7 @@ def test_of_a_bag_not_closed_all_that_was_flushed_is_read(trace: Trace, tmp_path
         before = contents(path)
         journals += any(name.endswith("-journal") for name in before)
         if flushed == 0:
-            with pytest.raises(FtcmError, match=r"cannot be read: Could not read metadata"):
+            with pytest.raises(FtcmError, match="nothing could be recovered"):
                 read_bag(path)
         else:
             bag = read_bag(path)
@@ -326,7 +326,8 @@ def test_a_file_cut_anywhere_gives_what_was_flushed_before(torn: Torn, share: fl
     else:
         assert is_one_line(found)
     if torn.name.endswith("mcap"):  # a page of sqlite3 that is missing makes the whole file useless
-        assert ticks == max((n for size, n in torn.ticks.items() if size <= len(data)), default=0)
+        assert ticks >= max((n for size, n in torn.ticks.items() if size <= len(data)), default=0)
+        assert ticks in torn.ticks.values()
 
 
 @settings(max_examples=20, deadline=None)

@@ -91,7 +91,9 @@ def read_bag(path: Path, scenario: Scenario | None = None) -> BagContents:
     others = {name: raw.pop(name, []) for name in (CHANGES.name, SCENARIO.name, DIAGNOSTICS.name.lstrip("/"))}
     if not raw.get(JOINT_STATES.name):
         if damage:
-            raise FtcmError(f"bag {str(path)!r} cannot be read: {damage}")
+            raise FtcmError(
+                f"bag {str(path)!r} cannot be read: {damage.rstrip('.')}; nothing could be recovered"
+            )
         raise FtcmError(
             f"bag {str(path)!r} has no messages on /{JOINT_STATES.name}; expected this suite's topics"
         )

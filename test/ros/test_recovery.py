@@ -1,0 +1,153 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Recorders that are killed or run out of disk, in real experiments: what is kept, and what is said."""
+
+from __future__ import annotations
+
+import json
+import os
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+pytest.importorskip("rclpy", reason="ROS 2 (rclpy) is not installed")
+
+from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
+
+from ftcm_core.scenario import load
+from ftcm_core.simulation import simulate
+from ftcm_core.trace import COLUMNS
+from ftcm_ros.bag import BagContents, read_bag
+from ftcm_ros.topics import JOINT_STATES
+
+pytestmark = pytest.mark.ros
+
+Start = Callable[..., "subprocess.Popen[str]"]
+SECONDS = 20.0
+SCENARIO = ("paper", "--controllers", "ftcm", "--set", f"duration={SECONDS:g}")
+
+
+def equals_the_in_process_run(bag: BagContents) -> bool:
+    """What was recovered has no gap and equals, float for float, the run in one process."""
+    trace = bag.trace
+    again = simulate(load("paper", [f"duration={trace.time_ns[-1] / 1e9}"], controller="ftcm"))
+    assert bag.missing == {}
+    assert trace.ticks == again.ticks
+    return all(np.array_equal(getattr(trace, c), getattr(again, c)) for c in COLUMNS)
+
+
+def process_of(parent: int, node: str) -> int:
+    """Process number of a node of an experiment."""
+    for children in Path(f"/proc/{parent}/task").glob("*/children"):
+        for pid in children.read_text().split():
+            if f"ftcm_ros.nodes.{node}".encode() in Path(f"/proc/{pid}/cmdline").read_bytes():
+                return int(pid)
+    raise AssertionError(f"{node} is not running")
+
+
+@pytest.mark.parametrize("storage", ["mcap", pytest.param("sqlite3", marks=pytest.mark.slow)])
+def test_of_a_killed_recorder_only_the_last_second_is_lost(
+    start: Start, tmp_path: Path, storage: str
+) -> None:
+    process = start("experiment", *SCENARIO, "--storage", storage, "--name", "test", "--no-figures")
+    assert process.stderr is not None
+    next(line for line in process.stderr if "ticks/s" in line)
+    recorder = process_of(process.pid, "recorder")
+    killed = time.time_ns()
+    os.kill(recorder, signal.SIGKILL)
+    out, err = process.communicate(timeout=60)
+    assert process.returncode == 1
+    assert "Traceback" not in err
+    assert "warning: ftcm: bag was not closed; recovered: complete to t = " in err
+    assert "node 'recorder' was ended by SIGKILL" in err.splitlines()[-1]
+    bag = read_bag(tmp_path / "runs" / "test" / "bags" / "ftcm")
+    assert equals_the_in_process_run(bag)
+    assert killed - bag.published[JOINT_STATES.name][-1] < 1e9
+    assert bag.trace.ticks > 1000
+    assert "| ftcm" in out
+    summary = json.loads((tmp_path / "runs" / "test" / "summary.json").read_text())
+    assert summary["results"][0]["ticks"] == bag.trace.ticks
+
+
+@pytest.fixture
+def small_disk(tmp_path: Path) -> Iterator[Path]:
+    """A file system of 4 MB: about 3 s of a run."""
+    place = tmp_path / "disk"
+    place.mkdir()
+    mount = subprocess.run(
+        ["mount", "-t", "tmpfs", "-o", "size=4m", "none", place], capture_output=True, text=True, check=False
+    )
+    if mount.returncode:
+        pytest.skip(f"a small file system cannot be mounted here: {mount.stderr.strip()}")
+    yield place
+    subprocess.run(["umount", place], check=True)
+
+
+@pytest.mark.parametrize("storage", ["mcap", pytest.param("sqlite3", marks=pytest.mark.slow)])
+def test_a_full_disk_ends_the_run_with_its_reason(
+    start: Start, watcher: Any, domain: int, small_disk: Path, storage: str
+) -> None:
+    said: list[str] = []
+
+    def on_diagnostics(message: DiagnosticArray) -> None:
+        said.extend(
+            s.message
+            for s in message.status
+            if s.name == "recorder: tick" and s.level == DiagnosticStatus.ERROR
+        )
+
+    watcher.node.create_subscription(DiagnosticArray, "/diagnostics", on_diagnostics, 10)
+    process = start(
+        "experiment", *SCENARIO, "--storage", storage, "--name", "test", "--domain-id", str(domain),
+        "--runs", str(small_disk),
+    )  # fmt: skip
+    watcher.spin_until(lambda: said, "the recorder's error on /diagnostics")
+    _, err = process.communicate(timeout=60)
+    assert process.returncode == 1
+    assert "Traceback" not in err
+    path = small_disk / "test" / "bags" / "ftcm"
+    reason = "No space left on device" if storage == "mcap" else "database or disk is full"
+    assert f"bag {str(path)!r} cannot be written: {reason}; every tick up to t = " in said[0]
+    last = err.splitlines()[-1]
+    assert f"recorder: error: {said[0]}" in last
+    assert "results cannot be written" in last
+    bag = read_bag(path)
+    assert equals_the_in_process_run(bag)
+    kept = float(said[0].partition("up to t = ")[2].split()[0])
+    assert bag.trace.time_ns[-1] >= round(kept * 1e9) > 0
+
+
+def test_a_file_size_limit_ends_the_run_with_its_reason(tmp_path: Path, domain: int) -> None:
+    """As a full disk, where nothing can be mounted; the other files of the run can be written."""
+    run = subprocess.run(
+        ["prlimit", "--fsize=1500000", sys.executable, "-m", "ftcm_ros.experiment", *SCENARIO,
+         "--name", "test", "--no-figures"],
+        capture_output=True, text=True, timeout=60, check=False, cwd=tmp_path,
+    )  # fmt: skip
+    assert run.returncode == 1
+    assert "Traceback" not in run.stderr
+    assert "cannot be written: File too large; every tick up to t = " in run.stderr.splitlines()[-1]
+    assert "recovered: complete to t = " in run.stderr
+    assert equals_the_in_process_run(read_bag(tmp_path / "runs" / "test" / "bags" / "ftcm"))
+    assert (tmp_path / "runs" / "test" / "table.md").exists()
+
+
+def test_a_disk_that_is_full_before_the_run_ends_it_before_the_first_tick(
+    start: Start, small_disk: Path
+) -> None:
+    (small_disk / "test").mkdir()
+    with pytest.raises(OSError, match="No space left"):
+        (small_disk / "filler").write_bytes(bytes(10**7))
+    process = start("nodes.recorder", "--ros-args", "-p", f"bag:={small_disk / 'test' / 'bag'}")
+    out, err = process.communicate(timeout=60)
+    assert process.returncode == 2
+    assert "Traceback" not in out + err
+    (line,) = [x for x in err.strip().splitlines() if "error" in x]
+    assert f"bag '{small_disk / 'test' / 'bag'}' cannot be made: No space left on device" in line
+    assert list((small_disk / "test").iterdir()) == []
