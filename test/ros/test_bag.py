@@ -357,8 +357,12 @@ def test_analyse_says_what_it_recovered_and_repairs(trace: Trace, tmp_path: Path
     assert again.recovered in warning
     assert all(np.array_equal(getattr(again.trace, c), getattr(read_bag(path).trace, c)) for c in COLUMNS)
     assert again.trace.scenario == trace.scenario
-    assert "exists already" in one_line(analyse(path, "--repair", tmp_path / "repaired"))
+
+
+def test_a_repair_that_makes_no_sense_is_one_line(trace: Trace, tmp_path: Path) -> None:
+    path, _, _ = unclosed(tmp_path, trace, "mcap")[4]
     write(tmp_path / "good", trace)
+    assert "exists already" in one_line(analyse(path, "--repair", tmp_path / "good"))
     assert "nothing to repair" in one_line(analyse(tmp_path / "good", "--repair", tmp_path / "x"))
     assert "one bag; 2" in one_line(analyse(path, path, "--repair", tmp_path / "x"))
 
