@@ -73,10 +73,11 @@ def new_bag(path: Path, storage: str) -> Writer:
     try:
         writer = Writer(path, version=9, storage_plugin=STORAGE[storage])
         writer.open()
-    except (OSError, sqlite3.Error, WriterError) as error:
-        shutil.rmtree(path, ignore_errors=True)  # it did not exist before
-        reason = str(error) if isinstance(error, WriterError) else reason_of(error)
-        raise FtcmError(f"bag {str(path)!r} cannot be made: {reason}") from None
+    except WriterError as error:  # somebody else has made it just now: it is theirs
+        raise FtcmError(f"bag {str(path)!r} cannot be made: {error}") from None
+    except (OSError, sqlite3.Error) as error:
+        shutil.rmtree(path, ignore_errors=True)
+        raise FtcmError(f"bag {str(path)!r} cannot be made: {reason_of(error)}") from None
     return writer
 
 
