@@ -75,12 +75,13 @@ def test_lockstep_equals_the_in_process_run(experiment: Experiment, tmp_path: Pa
     assert differing(bag.trace, simulate(load("paper", overrides, controller=controller))) == []
 
 
-def test_the_ordinary_executor_and_sqlite3_give_the_same(experiment: Experiment, tmp_path: Path) -> None:
+@pytest.mark.parametrize(("path", "storage"), [("executor", "sqlite3"), ("waitset", "mcap")])
+def test_every_data_path_and_storage_gives_the_same(
+    experiment: Experiment, tmp_path: Path, path: str, storage: str
+) -> None:
     overrides = ["duration=0.4", "torque_limits=[97.6, 186.4, 89.4]"]
     arguments = [a for o in overrides for a in ("--set", o)]
-    run = experiment(
-        "paper", "--controllers", "smc", "--data-path", "executor", "--storage", "sqlite3", *arguments
-    )
+    run = experiment("paper", "--controllers", "smc", "--data-path", path, "--storage", storage, *arguments)
     assert run.returncode == 0, run.stderr
     bag = bag_of(tmp_path, "smc")
     assert bag.missing == {}

@@ -1,21 +1,31 @@
 # SPDX-License-Identifier: Apache-2.0
 """How data messages get in and out of a node: the only place that knows.
 
-rclpy's executor costs about 130 µs a message, the middleware almost nothing. So a stage takes the
-data topics from a wait set of its own, as serialized bytes, on the main thread; services,
-parameters, lifecycle and diagnostics stay on an ordinary executor in a background thread. With
-the parameter ``data_path`` at ``executor`` everything goes through one ordinary executor instead,
-with equal results.
+rclpy's executor costs about 130 µs a message, the middleware almost nothing, the waking of a thread
+some 30 µs. So data messages do not use the executor, and cross as serialized bytes. There are three
+paths with equal results, chosen by the parameter ``data_path``:
+
+* ``listener``: a message is handled in the very thread of the middleware that received it, so that
+  no other thread has to be woken. Where the middleware cannot do that, ``waitset`` is used.
+* ``waitset``: the main thread waits in a wait set of its own for the data topics.
+* ``executor``: everything goes through one ordinary executor.
+
+On the first two, services, parameters, lifecycle and diagnostics are on an ordinary executor in a
+background thread. On every path a handler runs only while the main thread is in :meth:`DataPlane.poll`
+or :meth:`DataPlane.collect`, never beside anything else that the main thread does.
 """
 
 from __future__ import annotations
 
 import contextlib
+import ctypes
 import importlib
+import os
 import sys
 import threading
 import time
 from collections.abc import Callable
+from pathlib import Path
 from typing import Any
 
 from rclpy.callback_groups import CallbackGroup, MutuallyExclusiveCallbackGroup
@@ -32,8 +42,27 @@ from ftcm_ros.topics import DEPTH, Topic, subscribers
 Handler = Callable[[bytes, int], None]
 """Takes one serialized message and the time it was published (system clock, ns)."""
 
+PROFILES = Path(__file__).with_name("fastdds.xml")
 SWITCH_INTERVAL = 1e-4
 """How long a background thread may keep the interpreter from the tick, s."""
+
+
+_Callback = ctypes.CFUNCTYPE(None, ctypes.c_void_p, ctypes.c_size_t)
+"""rcl_event_callback_t: user data, number of messages."""
+
+
+def _call_on_message(handle: Any, callback: Any) -> bool:
+    """Let the middleware's receiving thread call a function for new messages (None: no longer).
+
+    rclpy has no such call, rcl does. ctypes releases the interpreter meanwhile, so a callback that
+    is under way can end.
+    """
+    try:
+        set_callback = ctypes.CDLL("librcl.so").rcl_subscription_set_on_new_message_callback
+    except (OSError, AttributeError):
+        return False
+    set_callback.argtypes = [ctypes.c_void_p, ctypes.c_void_p, ctypes.c_void_p]
+    return bool(set_callback(handle.pointer, ctypes.cast(callback, ctypes.c_void_p), None) == 0)
 
 
 class _NoExecutor(CallbackGroup):
@@ -47,6 +76,11 @@ class _NoExecutor(CallbackGroup):
 
     def ending_execution(self, entity: Any) -> None:
         pass
+
+
+def set_up_middleware() -> None:
+    """Use the suite's settings of Fast DDS, unless the user has some; before ``rclpy.init``."""
+    os.environ.setdefault("FASTRTPS_DEFAULT_PROFILES_FILE", str(PROFILES))
 
 
 def message_class(type_name: str) -> Any:
@@ -67,17 +101,28 @@ def qos(topic: Topic) -> QoSProfile:
 class DataPlane:
     """The data subscriptions and publishers of one node."""
 
-    def __init__(self, node: Node, path: str) -> None:
-        """Use the given path: ``waitset`` or ``executor``."""
+    def __init__(self, node: Node, path: str, gather: bool = False) -> None:
+        """Use the given path.
+
+        Args:
+            node: whose topics these are.
+            path: ``listener``, ``waitset`` or ``executor``.
+            gather: messages are only taken by :meth:`collect`, many at a time.
+        """
         self._node = node
-        self._path = path
-        self._group = _NoExecutor() if path == "waitset" else MutuallyExclusiveCallbackGroup()
+        self._path = "waitset" if gather and path == "listener" else path
+        self._group = MutuallyExclusiveCallbackGroup() if path == "executor" else _NoExecutor()
         self._wanted: list[tuple[Topic, Handler]] = []
         self._subscriptions: list[Subscription] = []
         self._taken: list[tuple[Topic, Any, Any, Handler]] = []
         """Topic, rclpy handle, message class and handler of each subscription, in order of declaration."""
         self._publishers: list[tuple[Topic, Publisher]] = []
         self._wait_set: Any = None
+        self._callbacks: list[Any] = []
+        self._thread_state = threading.local()
+        self._failure: BaseException | None = None
+        self.turn = threading.Condition(threading.RLock())
+        """Held by whoever may touch the node's data: by the main thread, except while it polls."""
         self._executor = SingleThreadedExecutor(context=node.context)
         self._thread: threading.Thread | None = None
 
@@ -102,10 +147,42 @@ class DataPlane:
             )
             self._subscriptions.append(made)
             self._taken.append((topic, made.handle, cls, handler))
+        if self._wanted and self._path == "listener" and not self._listen():
+            self._node.get_logger().warning("data_path listener is not possible here; waitset is used")
+            self._path = "waitset"
         if self._wanted and self._path == "waitset":
             count = len(self._subscriptions)
             self._wait_set = _rclpy.WaitSet(count, 0, 0, 0, 0, 0, self._node.context.handle)
         self._wanted = []
+
+    def _listen(self) -> bool:
+        """Have every message handled by the thread that receives it."""
+        for _, handle, cls, handler in self._taken:
+
+            def receive(
+                _: Any, count: int, handle: Any = handle, cls: Any = cls, handler: Any = handler
+            ) -> None:
+                if not hasattr(self._thread_state, "kept"):  # else Python makes and drops one each time
+                    ctypes.pythonapi.PyGILState_Ensure()
+                    self._thread_state.kept = True
+                with self.turn:
+                    try:
+                        while (taken := handle.take_message(cls, True)) is not None:
+                            handler(taken[0], taken[1]["source_timestamp"])
+                    except BaseException as error:  # raised again on the main thread
+                        self._failure = error
+                        self.turn.notify()
+
+            self._callbacks.append(_Callback(receive))
+            if not _call_on_message(handle, self._callbacks[-1]):
+                self._ignore()
+                return False
+        return True
+
+    def _ignore(self) -> None:
+        for (_, handle, _, _), _ in zip(self._taken, self._callbacks):
+            _call_on_message(handle, None)
+        self._callbacks = []
 
     def publisher(self, topic: Topic) -> Callable[[Any], None]:
         """Return a function that publishes a message object or its serialized bytes."""
@@ -116,14 +193,14 @@ class DataPlane:
     def start(self) -> None:
         """Begin to serve the node's other callbacks."""
         self._executor.add_node(self._node)
-        if self._path == "waitset":
+        if self._path != "executor":
             sys.setswitchinterval(SWITCH_INTERVAL)
             self._thread = threading.Thread(target=self._serve, name="services", daemon=True)
             self._thread.start()
 
     def _serve(self) -> None:
         with contextlib.suppress(ExternalShutdownException, ShutdownException):
-            while True:
+            while self._node.context.ok():
                 self._spin(None)
 
     def _spin(self, seconds: float | None) -> None:
@@ -135,6 +212,7 @@ class DataPlane:
 
     def stop(self) -> None:
         """Stop serving; the data plane is not used after this."""
+        self._ignore()
         self._executor.shutdown(timeout_sec=1.0)
         if self._thread is not None:
             self._thread.join(timeout=1.0)
@@ -146,7 +224,15 @@ class DataPlane:
             timeout_ns: longest wait, ns.
             trigger: wake up only for this topic, the last to come in a tick, instead of for every
                 message; the others are looked at then, and when the time is up.
+
+        Raises:
+            Exception: what a handler has raised.
         """
+        if self._path == "listener":
+            self.turn.wait(timeout_ns / 1e9)
+            if self._failure is not None:
+                raise self._failure
+            return
         if self._path == "executor":
             self._spin(timeout_ns / 1e9)
             return
@@ -163,6 +249,12 @@ class DataPlane:
             taken = handle.take_message(cls, True)
             if taken is not None:
                 handler(taken[0], taken[1]["source_timestamp"])
+
+    def wake(self) -> None:
+        """End the wait of :meth:`poll`, where it would not end by itself soon."""
+        if self._path == "listener":
+            with self.turn:
+                self.turn.notify()
 
     def collect(self, seconds: float) -> None:
         """Let messages gather for a while, then hand all of them to the handlers: one wake-up for many."""

@@ -26,6 +26,7 @@ from ftcm_core.errors import FtcmError
 from ftcm_core.report.results import write_results
 from ftcm_core.scenario import Scenario, load
 from ftcm_ros.bag import read_bag
+from ftcm_ros.dataplane import set_up_middleware
 from ftcm_ros.domain import Domain
 from ftcm_ros.latency import hop_times, percentiles, write_figure
 from ftcm_ros.lifecycle_client import Managed, drive
@@ -41,8 +42,6 @@ CLOSE_SECONDS = 15.0
 """How long the recorder may take to close the bag."""
 SILENCE_SECONDS = 5.0
 """How long a node may say nothing on /diagnostics before the run ends."""
-PROFILES = Path(__file__).with_name("fastdds.xml")
-"""Settings of the middleware for the run, unless the user has some."""
 MATCHING_ORDER = ("observer", "controller", "injector", "plant", "recorder")
 """Order of configuration: that of the tick, so that each message reaches first who acts on it next."""
 RECORDER_WINDOW = 1000
@@ -244,7 +243,10 @@ def build_parser() -> argparse.ArgumentParser:
     )
     parser.add_argument("--domain-id", type=int, help="ROS domain; default: a free one")
     parser.add_argument(
-        "--data-path", choices=("waitset", "executor"), default="waitset", help="default: waitset"
+        "--data-path",
+        choices=("listener", "waitset", "executor"),
+        default="listener",
+        help="default: listener",
     )
     parser.add_argument("--priority", type=int, default=0, help="SCHED_FIFO priority of the nodes")
     parser.add_argument("--lock-memory", action="store_true", help="lock the nodes' memory")
@@ -279,7 +281,7 @@ def run_experiment(options: argparse.Namespace) -> int:
     domain = Domain(options.domain_id)
     os.environ.update(ROS_DOMAIN_ID=str(domain.number), ROS_AUTOMATIC_DISCOVERY_RANGE="LOCALHOST")
     os.environ["ROS_LOG_DIR"] = str((folder / "logs").resolve())
-    os.environ.setdefault("FASTRTPS_DEFAULT_PROFILES_FILE", str(PROFILES))
+    set_up_middleware()
     say(f"run {folder}: {', '.join(labels)} in {options.mode}, ROS_DOMAIN_ID={domain.number}")
     failure, finished, timing = "", [], {}
 

@@ -39,9 +39,10 @@ _COMMON = (
     ),
     Setting(
         "data_path",
-        "waitset",
-        "how data messages are taken: a wait set of their own on the main thread, or the ordinary executor",
-        ("waitset", "executor"),
+        "listener",
+        "how data messages are taken: by the middleware's receiving thread, by the main thread with a "
+        "wait set, or by the ordinary executor",
+        ("listener", "waitset", "executor"),
     ),
     Setting("priority", 0, "SCHED_FIFO priority of the process, 1 to 99; 0: ordinary scheduling"),
     Setting("lock_memory", False, "keep the process's memory from being paged out"),

@@ -26,7 +26,7 @@ from ftcm_core.signals import NANOSECONDS
 from ftcm_ros import scheduling
 from ftcm_ros.aligner import Aligner
 from ftcm_ros.codec import CodecError, JointSample, JointStateCodec
-from ftcm_ros.dataplane import DataPlane
+from ftcm_ros.dataplane import DataPlane, set_up_middleware
 from ftcm_ros.processes import end_with_parent
 from ftcm_ros.settings import setting
 from ftcm_ros.topics import DIAGNOSTICS, Topic
@@ -38,7 +38,10 @@ MATCH_TIMEOUT = 20.0
 
 
 class SuiteNode(LifecycleNode):
-    """A managed node whose data messages arrive on the main thread."""
+    """A managed node; what touches its data is done one thing at a time."""
+
+    gathers = False
+    """Whether messages are collected many at a time, instead of answered each at once."""
 
     def __init__(self, name: str) -> None:
         """Declare the common parameters and read the scenario.
@@ -54,7 +57,7 @@ class SuiteNode(LifecycleNode):
         for line in scheduling.apply(*(self.setting(n) for n in ("priority", "lock_memory", "processors"))):
             self.get_logger().warning(line)
         self.codec = JointStateCodec(self.scenario.robot.joint_names)
-        self.plane = DataPlane(self, self.setting("data_path"))
+        self.plane = DataPlane(self, self.setting("data_path"), self.gathers)
         self.active = False
         self.stopping = False
         self._failure = ""
@@ -152,6 +155,7 @@ class SuiteNode(LifecycleNode):
             return work()
         done, outcome = threading.Event(), [None, None]
         self._work.append((work, done, outcome))
+        self.plane.wake()
         done.wait()
         if outcome[1] is not None:
             raise outcome[1]
@@ -170,16 +174,17 @@ class SuiteNode(LifecycleNode):
     def spin(self) -> None:
         """Run the main loop until asked to stop."""
         self.plane.start()
-        if self.autostart:
-            self.trigger_configure()
-            self.trigger_activate()
-            if not self.active:
-                raise FtcmError(self._failure)
-        while not self.stopping:
+        with self.plane.turn:
+            if self.autostart:
+                self.trigger_configure()
+                self.trigger_activate()
+                if not self.active:
+                    raise FtcmError(self._failure)
+            while not self.stopping:
+                self.do_main_thread_work()
+                self.step()
             self.do_main_thread_work()
-            self.step()
-        self.do_main_thread_work()
-        self._deactivate()
+            self._deactivate()
 
     def step(self) -> None:
         """One round of the main loop: by default, wait for messages."""
@@ -370,6 +375,7 @@ class ReactiveNode(SuiteNode):
 
 def run(factory: Callable[[], SuiteNode]) -> int:
     """Run a node until SIGINT or SIGTERM; a user's mistake is one line and status 2."""
+    set_up_middleware()
     rclpy.init(signal_handler_options=SignalHandlerOptions.NO)
     node: SuiteNode | None = None
 

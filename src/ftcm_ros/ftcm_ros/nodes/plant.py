@@ -68,6 +68,8 @@ class PlantNode(SuiteNode):
     def _on_recorded(self, data: bytes, published_ns: int) -> None:
         stamp = deserialize_message(data, Time)
         self._recorded_ns = stamp.sec * NANOSECONDS + stamp.nanosec
+        if self.active:
+            self._go_on()
 
     def configure(self) -> None:
         """The robot at its initial state."""
@@ -82,7 +84,7 @@ class PlantNode(SuiteNode):
         self.latencies = array("q")
         self.lateness = array("q")
         self._answered = False
-        self._integrated = False
+        self._finished = False
         self._published_at = 0
         self.asked_again = 0
 
@@ -103,7 +105,10 @@ class PlantNode(SuiteNode):
 
     def step(self) -> None:
         """One round: wait for the end of the tick, go on to the next."""
-        if not self.active:
+        if self._finished:
+            self._finished = False
+            self.trigger_deactivate()
+        elif not self.active:
             self.plane.poll(POLL_NS)
         elif self.pacer.wait(self._ready, self._poll):
             self._end_of_tick()
@@ -117,9 +122,7 @@ class PlantNode(SuiteNode):
         self.plane.poll(timeout_ns, None if early or self._recorder_behind() else DISTURBANCE)
 
     def _ready(self) -> bool:
-        if self._recorder_behind():
-            return False
-        return self._answered
+        return self._answered and not self._finished and not self._recorder_behind()
 
     def _recorder_behind(self) -> bool:
         if self.mode != "lockstep" or self.recorder_window == 0:
@@ -134,6 +137,12 @@ class PlantNode(SuiteNode):
             self._answered = True
             self.latencies.append(time.monotonic_ns() - self._published_at)
             self._integrate()
+            self._go_on()
+
+    def _go_on(self) -> None:
+        """In lockstep nothing else has to be waited for: end the tick at once."""
+        if self.mode == "lockstep" and self._ready():
+            self._end_of_tick()
 
     def _integrate(self) -> None:
         if self.tick < self.scenario.last_tick:
@@ -183,7 +192,8 @@ class PlantNode(SuiteNode):
         self.state, self.detail = state, detail
         self.elapsed = time.monotonic() - self._began
         self.get_logger().info(f"{state}: {detail}")
-        self.trigger_deactivate()
+        self._finished = True
+        self.plane.wake()
 
     def health(self) -> tuple[str, str, dict[str, Any]]:
         """State of the run, misses per cause, latency and jitter."""

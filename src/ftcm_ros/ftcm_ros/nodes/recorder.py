@@ -32,6 +32,8 @@ QUIET_SECONDS = 1.0
 class RecorderNode(SuiteNode):
     """Writes what it receives, as received, and knows what is missing."""
 
+    gathers = True
+
     def __init__(self) -> None:
         """Subscribe everything."""
         super().__init__("recorder")
