@@ -43,6 +43,25 @@ while not seen and time.monotonic() < end:
 print("seen" if seen else "not seen")
 """
 """Tells whether there is a plant; an ordinary ROS process, as a stranger's or a tool's."""
+DRIVE = """
+import rclpy
+from ftcm_ros.graph import join_as
+from ftcm_ros.lifecycle_client import Managed, drive
+from ftcm_ros.settings import NODES
+node = join_as("starter")
+nodes = {name: Managed(node, name) for name in NODES}
+plant = [nodes.pop("plant")]
+others = list(nodes.values())
+for transition, which in (("configure", plant + others), ("activate", others), ("activate", plant)):
+    failed = drive(which, transition, lambda: rclpy.spin_once(node, timeout_sec=0.05), 60.0)
+    assert not failed, (transition, failed)
+"""
+"""Starts a run of nodes that are waiting, so that no tick is published before all are matched."""
+
+
+def parameters(**values: str) -> list[str]:
+    """Command line of node parameters."""
+    return [word for name, value in values.items() for word in ("-p", f"{name}:={value}")]
 
 
 class Machine:
@@ -67,9 +86,12 @@ class Machine:
         """Command prefix that runs something on this machine."""
         return ["nsenter", "--target", str(self.holder.pid), "--net", "--mount", "--ipc"]
 
-    def do(self, *command: str) -> subprocess.CompletedProcess[str]:
-        """Run a command to its end."""
-        return subprocess.run([*self.enter, *command], capture_output=True, text=True, check=True, timeout=90)
+    def do(self, *command: str, **variables: str) -> str:
+        """Run a command to its end and return what it wrote."""
+        return subprocess.run(
+            [*self.enter, *command], env=environment(**variables), stdout=subprocess.PIPE, text=True,
+            check=True, timeout=2 * WAIT_SECONDS,
+        ).stdout  # fmt: skip
 
     def start(self, folder: Path, module: str, *arguments: str, **variables: str) -> subprocess.Popen[str]:
         """Start a program of the suite; its environment says no more about the network than is given."""
@@ -83,11 +105,7 @@ class Machine:
 
     def sees_a_plant(self, seconds: float, **variables: str) -> bool:
         """Whether another process on this machine discovers the plant."""
-        run = subprocess.run(
-            [*self.enter, sys.executable, "-c", SEES, str(seconds)],
-            env=environment(**variables), capture_output=True, text=True, check=True, timeout=seconds + 60,
-        )  # fmt: skip
-        return run.stdout.strip() == "seen"
+        return self.do(sys.executable, "-c", SEES, str(seconds), **variables).strip() == "seen"
 
     def close(self) -> None:
         """End all that runs on it, then the machine."""
@@ -185,12 +203,13 @@ def test_a_run_over_two_machines_equals_the_in_process_run(
     here, there = machines
     scenario = load("paper", ["duration=0.5", "injection.faults.0.start=0.2"], controller="ftcm")
     (tmp_path / "short.yaml").write_text(scenario.to_yaml(), encoding="utf-8")
-    common = ("--ros-args", "-p", "scenario:=short.yaml")
-    recorder = here.start(tmp_path, "nodes.recorder", *common, "-p", "bag:=bag", **settings_here)
-    graph = (*common, "-p", "await_graph:=true")
+    common = ("--ros-args", *parameters(scenario="short.yaml", autostart="false", await_graph="true"))
+    recorder = here.start(tmp_path, "nodes.recorder", *common, *parameters(bag="bag"), **settings_here)
+    lockstep = parameters(mode="lockstep", recorder_window="1000")
+    plant = here.start(tmp_path, "nodes.plant", *common, *lockstep, **settings_here)
     for name in ("observer", "controller", "injector"):
-        there.start(tmp_path, f"nodes.{name}", *graph, **settings_there)
-    plant = here.start(tmp_path, "nodes.plant", *graph, "-p", "mode:=lockstep", **settings_here)
+        there.start(tmp_path, f"nodes.{name}", *common, **settings_there)
+    here.do(sys.executable, "-c", DRIVE, **settings_here)
     assert plant.stdout is not None
     said = next((line for line in plant.stdout if "completed" in line or "error" in line), "it ended")
     assert "completed" in said
