@@ -100,7 +100,10 @@ def keystore(tmp_path: Path, domain: int, monkeypatch: pytest.MonkeyPatch) -> Pa
     run = subprocess.run([sys.executable, "-c", join], capture_output=True, text=True, check=False)
     if "doesn't have the security libraries" in run.stderr:
         pytest.skip("the middleware here was built without security")
-    if shutil.which("ros2") is None or subprocess.run(["ros2", "security", "-h"], check=False).returncode:
+    if (
+        shutil.which("ros2") is None
+        or subprocess.run(["ros2", "security", "-h"], capture_output=True, check=False).returncode
+    ):
         pytest.skip("no `ros2 security` here (package sros2)")
     store = tmp_path / "keystore"
     subprocess.run(
