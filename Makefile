@@ -87,8 +87,9 @@ lint: test-env ## Check style, format and types
 	    python -m ruff format --check --output-format concise . && python -m mypy
 
 .PHONY: docs
-docs: build ## Write the reference pages of every component and parameter into docs/
-	@$(call source,.venv,); python -m ftcm_core.report.reference docs/ && python -m ftcm_ros.reference docs/
+docs: build ## Write what is generated: the reference pages in docs/ and the SROS2 policy
+	@$(call source,.venv,); python -m ftcm_core.report.reference docs/ && python -m ftcm_ros.reference docs/ && \
+	    python -m ftcm_ros.security config/security/
 
 .PHONY: bench
 bench: test-env build ## Measure rates, latencies, real time and the core; minutes, on an otherwise idle machine

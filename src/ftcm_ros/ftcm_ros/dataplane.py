@@ -20,12 +20,10 @@ from __future__ import annotations
 import contextlib
 import ctypes
 import importlib
-import os
 import sys
 import threading
 import time
 from collections.abc import Callable
-from pathlib import Path
 from typing import Any
 
 from rclpy.callback_groups import CallbackGroup, MutuallyExclusiveCallbackGroup
@@ -42,7 +40,6 @@ from ftcm_ros.topics import DEPTH, Topic, subscribers
 Handler = Callable[[bytes, int], None]
 """Takes one serialized message and the time it was published (system clock, ns)."""
 
-PROFILES = Path(__file__).with_name("fastdds.xml")
 SWITCH_INTERVAL = 1e-4
 """How long a background thread may keep the interpreter from the tick, s."""
 
@@ -76,11 +73,6 @@ class _NoExecutor(CallbackGroup):
 
     def ending_execution(self, entity: Any) -> None:
         pass
-
-
-def set_up_middleware() -> None:
-    """Use the suite's settings of Fast DDS, unless the user has some; before ``rclpy.init``."""
-    os.environ.setdefault("FASTRTPS_DEFAULT_PROFILES_FILE", str(PROFILES))
 
 
 def message_class(type_name: str) -> Any:

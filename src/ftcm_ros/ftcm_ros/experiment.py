@@ -20,16 +20,16 @@ from typing import Any
 import rclpy
 from diagnostic_msgs.msg import DiagnosticArray
 from rclpy.node import Node
-from rclpy.signals import SignalHandlerOptions
 
 from ftcm_core.errors import FtcmError
 from ftcm_core.report.results import write_results
 from ftcm_core.scenario import Scenario, load
 from ftcm_ros.bag import read_bag
-from ftcm_ros.dataplane import set_up_middleware
 from ftcm_ros.domain import Domain
+from ftcm_ros.graph import join_as
 from ftcm_ros.latency import hop_times, percentiles, write_figure
 from ftcm_ros.lifecycle_client import Managed, drive
+from ftcm_ros.network import set_defaults
 from ftcm_ros.processes import NodeProcesses
 from ftcm_ros.settings import NODES
 from ftcm_ros.topics import DIAGNOSTICS
@@ -279,14 +279,13 @@ def run_experiment(options: argparse.Namespace) -> int:
     except OSError as error:
         raise FtcmError(f"run {str(folder)!r} cannot be made: {error.strerror or error}") from None
     domain = Domain(options.domain_id)
-    os.environ.update(ROS_DOMAIN_ID=str(domain.number), ROS_AUTOMATIC_DISCOVERY_RANGE="LOCALHOST")
+    os.environ["ROS_DOMAIN_ID"] = str(domain.number)
     os.environ["ROS_LOG_DIR"] = str((folder / "logs").resolve())
-    set_up_middleware()
-    say(f"run {folder}: {', '.join(labels)} in {options.mode}, ROS_DOMAIN_ID={domain.number}")
+    network = set_defaults()
+    say(f"run {folder}: {', '.join(labels)} in {options.mode}, ROS_DOMAIN_ID={domain.number} {network}")
     failure, finished, timing = "", [], {}
 
-    rclpy.init(signal_handler_options=SignalHandlerOptions.NO)
-    node = rclpy.create_node("experiment")
+    node = join_as("experiment")
     try:
         for label, scenario in zip(labels, scenarios):
             for line in scenario.controller.warnings():

@@ -16,6 +16,7 @@ from typing import Any
 import yaml
 
 from ftcm_core.errors import FtcmError
+from ftcm_ros.network import enclave
 
 PARENT_VARIABLE = "FTCM_PARENT_PID"
 """Tells a node whose child it is; it ends when that process ends."""
@@ -52,6 +53,7 @@ class NodeProcesses:
         file = self.folder / f"{node}.yaml"
         file.write_text(yaml.safe_dump({f"/{node}": {"ros__parameters": dict(parameters)}}), encoding="utf-8")
         command = [sys.executable, "-m", f"ftcm_ros.nodes.{node}", "--ros-args", "--params-file", str(file)]
+        command += enclave(node)
         with (self.folder / f"{node}.log").open("wb") as log:
             self.processes[node] = subprocess.Popen(
                 command, env=self.environment, stdin=subprocess.DEVNULL, stdout=log, stderr=subprocess.STDOUT,

@@ -18,7 +18,6 @@ from rcl_interfaces.msg import ParameterDescriptor
 from rclpy.clock import Clock, ClockType
 from rclpy.exceptions import InvalidParameterTypeException, InvalidParameterValueException
 from rclpy.lifecycle import LifecycleNode, LifecycleState, TransitionCallbackReturn
-from rclpy.signals import SignalHandlerOptions
 
 from ftcm_core.errors import FtcmError
 from ftcm_core.scenario import Scenario, load
@@ -26,7 +25,8 @@ from ftcm_core.signals import NANOSECONDS
 from ftcm_ros import scheduling
 from ftcm_ros.aligner import Aligner
 from ftcm_ros.codec import CodecError, JointSample, JointStateCodec
-from ftcm_ros.dataplane import DataPlane, set_up_middleware
+from ftcm_ros.dataplane import DataPlane
+from ftcm_ros.graph import join, joining
 from ftcm_ros.processes import end_with_parent
 from ftcm_ros.settings import setting
 from ftcm_ros.topics import DIAGNOSTICS, Topic
@@ -375,8 +375,6 @@ class ReactiveNode(SuiteNode):
 
 def run(factory: Callable[[], SuiteNode]) -> int:
     """Run a node until SIGINT or SIGTERM; a user's mistake is one line and status 2."""
-    set_up_middleware()
-    rclpy.init(signal_handler_options=SignalHandlerOptions.NO)
     node: SuiteNode | None = None
 
     def stop(signum: int, frame: Any) -> None:
@@ -388,7 +386,9 @@ def run(factory: Callable[[], SuiteNode]) -> int:
     signal.signal(signal.SIGTERM, stop)
     end_with_parent()
     try:
-        node = factory()
+        join()
+        with joining():
+            node = factory()
         node.spin()
     except KeyboardInterrupt:
         return 130
