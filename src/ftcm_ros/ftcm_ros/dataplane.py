@@ -10,7 +10,6 @@ with equal results.
 
 from __future__ import annotations
 
-import contextlib
 import importlib
 import sys
 import threading
@@ -80,6 +79,8 @@ class DataPlane:
         self._wait_set: Any = None
         self._executor = SingleThreadedExecutor(context=node.context)
         self._thread: threading.Thread | None = None
+        self._failure: Exception | None = None
+        """What ended the services thread; raised on the main thread."""
 
     def subscribe(self, topic: Topic, handler: Handler) -> None:
         """Hand every message of a topic to a handler, serialized, on the main thread, once opened."""
@@ -122,9 +123,13 @@ class DataPlane:
             self._thread.start()
 
     def _serve(self) -> None:
-        with contextlib.suppress(ExternalShutdownException, ShutdownException):
+        try:
             while True:
                 self._spin(None)
+        except (ExternalShutdownException, ShutdownException):
+            return
+        except Exception as error:
+            self._failure = error
 
     def _spin(self, seconds: float | None) -> None:
         """Serve one callback; a lifecycle transition that is not possible now must not end the node."""
@@ -147,6 +152,8 @@ class DataPlane:
             trigger: wake up only for this topic, the last to come in a tick, instead of for every
                 message; the others are looked at then, and when the time is up.
         """
+        if self._failure is not None:
+            raise self._failure
         if self._path == "executor":
             self._spin(timeout_ns / 1e9)
             return
@@ -166,6 +173,8 @@ class DataPlane:
 
     def collect(self, seconds: float) -> None:
         """Let messages gather for a while, then hand all of them to the handlers: one wake-up for many."""
+        if self._failure is not None:
+            raise self._failure
         if self._path == "executor":
             self._spin(seconds)
             return

@@ -16,6 +16,7 @@ from ftcm_core.errors import FtcmError
 from ftcm_core.provenance import provenance
 from ftcm_core.scenario import Scenario
 from ftcm_ros.codec import stamp_of
+from ftcm_ros.spool import Spool
 from ftcm_ros.topics import DEPTH, EVENTS, Topic, data_topics
 
 STORAGE = {"mcap": StoragePlugin.MCAP, "sqlite3": StoragePlugin.SQLITE3}
@@ -66,6 +67,9 @@ class Recording:
             self._writer.open()
         except OSError as error:
             raise FtcmError(f"bag {str(path)!r} cannot be made: {error.strerror or error}") from None
+        if storage == "mcap":
+            mcap: Any = self._writer.storage
+            mcap.chunks = Spool(path)
         typestore = get_typestore(Stores.ROS2_JAZZY)
         self._connections = {
             topic.name: self._writer.add_connection(
