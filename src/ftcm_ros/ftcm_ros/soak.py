@@ -60,6 +60,7 @@ class Sampler(threading.Thread):
         with self._file.open("w", newline="", encoding="ascii") as file:
             rows = csv.writer(file)
             rows.writerow(("seconds", "process", "kb"))
+            began = time.monotonic()
             while not self._end.wait(self._every):
                 if self._run.watch is None:  # the ticks have not begun
                     began = time.monotonic()
