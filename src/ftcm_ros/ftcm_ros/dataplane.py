@@ -34,6 +34,9 @@ Handler = Callable[[bytes, int], None]
 SWITCH_INTERVAL = 1e-4
 """How long a background thread may keep the interpreter from the tick, s."""
 
+STOP_SECONDS = 8.0
+"""How long the services thread may take to end; what it uses is destroyed then."""
+
 
 class _NoExecutor(CallbackGroup):
     """Keeps subscriptions out of the executor's wait set: the data plane takes them itself."""
@@ -140,9 +143,9 @@ class DataPlane:
 
     def stop(self) -> None:
         """Stop serving; the data plane is not used after this."""
-        self._executor.shutdown(timeout_sec=1.0)
+        self._executor.shutdown(timeout_sec=STOP_SECONDS)
         if self._thread is not None:
-            self._thread.join(timeout=1.0)
+            self._thread.join(timeout=STOP_SECONDS)
 
     def poll(self, timeout_ns: int, trigger: Topic | None = None) -> None:
         """Wait at most so long for messages, then hand what is here to the handlers, one of each topic.

@@ -21,6 +21,14 @@ PORT_BASE, PORT_GAIN = 7400, 250
 SETTLED_SECONDS = 2.0
 """A lock file younger than this may not be locked yet by the process that has just made it."""
 
+PROFILES = Path(__file__).with_name("fastdds.xml")
+"""Settings of the middleware."""
+
+
+def use_profiles() -> None:
+    """Let the middleware of this process and its children use our settings, unless the user has some."""
+    os.environ.setdefault("FASTRTPS_DEFAULT_PROFILES_FILE", str(PROFILES))
+
 
 class Domain:
     """Holds a domain number, by a file lock that ends with the last process that has the file open."""

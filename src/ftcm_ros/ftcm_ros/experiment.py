@@ -29,7 +29,7 @@ from ftcm_core.errors import FtcmError
 from ftcm_core.report.results import write_results
 from ftcm_core.scenario import Scenario, load
 from ftcm_ros.bag import BagContents, read_bag
-from ftcm_ros.domain import Domain
+from ftcm_ros.domain import Domain, use_profiles
 from ftcm_ros.latency import hop_times, percentiles, write_figure
 from ftcm_ros.lifecycle_client import Managed, drive
 from ftcm_ros.processes import NodeProcesses, describe_exit
@@ -43,12 +43,8 @@ START_SECONDS = 30.0
 PLANT_STOP_SECONDS = 3.0
 CLOSE_SECONDS = 15.0
 """How long the recorder may take to close the bag."""
-REPAIR_SECONDS = 4.0
-"""How long a recorder that was stopped gets for what it has missed: the middleware offers it every 3 s."""
 PATIENCE_SECONDS = 5.0
 """How long a node may be silent, or make no tick, before the run ends."""
-PROFILES = Path(__file__).with_name("fastdds.xml")
-"""Settings of the middleware for the run, unless the user has some."""
 MATCHING_ORDER = ("observer", "controller", "injector", "plant", "recorder")
 """Order of configuration: that of the tick, so that each message reaches first who acts on it next."""
 RECORDER_WINDOW = 1000
@@ -134,10 +130,11 @@ class Run:
             rclpy.try_shutdown()
             self.timing["nodes"] = self.health
         for name, code in codes.items():
-            if code != 0:
-                raise FtcmError(
-                    f"node {name!r} {describe_exit(code)} after the run; {self.processes.last_words(name)}"
-                )
+            ending = f"node {name!r} {describe_exit(code)} after the run; {self.processes.last_words(name)}"
+            if code > 0:
+                raise FtcmError(ending)
+            if code < 0:  # what it had to do is done
+                say(f"warning: {self.label}: {ending}")
 
     def _start(self) -> None:
         scenario_file = self.logs / "scenario.yaml"
@@ -221,11 +218,7 @@ class Run:
 
         Whatever has become of the other nodes; a node that does not answer is stopped afterwards.
         """
-        recorder_was_stopped = self.processes.is_stopped("recorder")
         self.processes.resume()
-        end = time.monotonic() + (REPAIR_SECONDS if recorder_was_stopped else 0.0)
-        while time.monotonic() < end:
-            rclpy.spin_once(self.node, timeout_sec=0.05)
         for name, seconds in (("plant", PLANT_STOP_SECONDS), ("recorder", CLOSE_SECONDS)):
             process = self.processes.processes.get(name)
             if process is None or process.poll() is not None:
@@ -342,7 +335,7 @@ def use_domain(domain: Domain, folder: Path) -> None:
     """Let this process and its children take part in a domain of this machine, with logs in a folder."""
     os.environ.update(ROS_DOMAIN_ID=str(domain.number), ROS_AUTOMATIC_DISCOVERY_RANGE="LOCALHOST")
     os.environ["ROS_LOG_DIR"] = str((folder / "logs").resolve())
-    os.environ.setdefault("FASTRTPS_DEFAULT_PROFILES_FILE", str(PROFILES))
+    use_profiles()
 
 
 def read_bags(runs: list[Run]) -> list[tuple[str, BagContents]]:

@@ -28,6 +28,7 @@ from ftcm_ros import scheduling
 from ftcm_ros.aligner import Aligner
 from ftcm_ros.codec import CodecError, JointSample, JointStateCodec
 from ftcm_ros.dataplane import DataPlane
+from ftcm_ros.domain import use_profiles
 from ftcm_ros.processes import end_with_parent
 from ftcm_ros.settings import setting
 from ftcm_ros.topics import DIAGNOSTICS, Topic
@@ -385,6 +386,7 @@ def run(factory: Callable[[], SuiteNode]) -> int:
         The exit status: a user's mistake is one line and 2; a programming error is a traceback, then a
         line with the node, its tick and the error, and 1.
     """
+    use_profiles()
     rclpy.init(signal_handler_options=SignalHandlerOptions.NO)
     node: SuiteNode | None = None
 
