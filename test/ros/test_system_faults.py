@@ -83,12 +83,12 @@ def named(fault: Fault, tick: int, line: str) -> bool:
     """Whether a line of the experiment names run, node and cause."""
     at = "" if fault.node == "recorder" else f"{tick}: RuntimeError: injected"  # it is behind the others
     cause = {
-        "SIGKILL": f"node {fault.node!r} was ended by SIGKILL",
-        "SIGSTOP": f"node {fault.node!r} has said nothing for {PATIENCE:g} s",
-        "hang": f"node {fault.node!r} has made no tick for {PATIENCE:g} s",
-        "exception": f"node {fault.node!r} ended with status 1; its last words: {fault.node}: at tick {at}",
+        "SIGKILL": "was ended by SIGKILL",
+        "SIGSTOP": f"has said nothing for {PATIENCE:g} s",
+        "hang": f"has made no tick for {PATIENCE:g} s",
+        "exception": f"its last words: {fault.node}: at tick {at}",
     }[fault.kind]
-    return line.startswith(f"experiment: error: {fault.controller}: {cause}")
+    return line.startswith(f"experiment: error: {fault.controller}: node {fault.node!r} ") and cause in line
 
 
 def alive_in(folder: Path) -> list[str]:
