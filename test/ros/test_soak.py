@@ -36,12 +36,12 @@ def test_no_tick_is_lost_and_no_process_grows(
     start: Callable[..., subprocess.Popen[str]], tmp_path: Path
 ) -> None:
     process = start(
-        "soak", "--minutes", "0.5", "--warm-up", "10", "--every", "1", "--folder", "soak",
+        "soak", "--minutes", "1", "--warm-up", "40", "--every", "1", "--folder", "soak",
         "--output", "figures.md",
     )  # fmt: skip
     out, err = process.communicate(timeout=280)
     assert process.returncode == 0, out + err
-    assert "30,001 ticks, 150,005 messages on 5 data topics" in out
+    assert "60,001 ticks, 300,005 messages on 5 data topics" in out
     assert " 0 ticks missing" in out
     assert "Deadlines missed: " in out
     assert (tmp_path / "figures.md").read_text() == out

@@ -36,11 +36,13 @@ class Durations:
     def whole(self, name: str) -> dict[str, float]:
         """Return percentiles of all, to 1 µs up to 10 ms and 1 ms beyond; the largest is exact."""
         self.recent(name)
-        below = list(accumulate(self._counts))
-        if not below[-1]:
+        total = sum(self._counts)
+        if not total:
             return {}
-        ranks = {label: min(below[-1] - 1, int(share * below[-1])) for label, share in SHARES.items()}
-        found = {label: next(i for i, n in enumerate(below) if n > rank) for label, rank in ranks.items()}
+        found = {}
+        for label, share in SHARES.items():
+            rank = min(total - 1, int(share * total))
+            found[label] = next(i for i, below in enumerate(accumulate(self._counts)) if below > rank)
         return {
             **{f"{name}_{label}_us": _start(i) / 1000 for label, i in found.items()},
             f"{name}_max_us": round(self._largest / 1000, 1),

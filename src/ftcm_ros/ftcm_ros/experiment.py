@@ -38,7 +38,7 @@ from ftcm_ros.topics import DIAGNOSTICS
 from ftcm_ros.watch import Watch
 
 PAPER_CONTROLLERS = ("smc", "nftsmc", "ftcm")
-START_SECONDS = 30.0
+START_SECONDS = 60.0
 """How long a node may take to come up."""
 PLANT_STOP_SECONDS = 3.0
 CLOSE_SECONDS = 15.0
