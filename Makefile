@@ -95,6 +95,10 @@ docs: build ## Write what is generated: the reference pages in docs/ and the SRO
 bench: test-env build ## Measure rates, latencies, real time and the core; minutes, on an otherwise idle machine
 	@$(call source,.venv,); python -m ftcm_core.benchmark && python -m ftcm_ros.benchmark $(ARGS)
 
+.PHONY: soak
+soak: build ## Run an hour in real time: no tick lost, no process growing; ARGS='--minutes 5' for less
+	@$(call source,.venv,); python -m ftcm_ros.soak $(ARGS)
+
 .PHONY: clean
 clean: ## Remove environments, build results and caches; runs/ stays
 	rm -rf .venv .venv-jazzy build install log .mypy_cache .ruff_cache .pytest_cache .hypothesis

@@ -25,7 +25,7 @@ except ImportError:  # the test modules skip themselves, with the reason
     rclpy = None
 
 from ftcm_core.errors import FtcmError
-from ftcm_ros.domain import DOMAINS, Domain
+from ftcm_ros.domain import DOMAINS, PORT_BASE, PORT_GAIN, Domain
 
 HANG_SECONDS = 120.0
 """Generous ceiling that catches hangs."""
@@ -39,6 +39,17 @@ def domain(monkeypatch: pytest.MonkeyPatch) -> int:
     monkeypatch.setenv("ROS_DOMAIN_ID", str(held.number))
     monkeypatch.setenv("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
     return held.number
+
+
+@pytest.fixture
+def shared_memory(domain: int) -> Callable[[], list[str]]:
+    """Returns the shared-memory files of the domain's ports."""
+    ports = range(PORT_BASE + PORT_GAIN * domain, PORT_BASE + PORT_GAIN * (domain + 1))
+
+    def find() -> list[str]:
+        return [f.name for f in Path("/dev/shm").iterdir() if any(f"port{p}" in f.name for p in ports)]
+
+    return find
 
 
 @pytest.fixture(scope="session", autouse=True)

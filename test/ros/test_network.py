@@ -21,8 +21,7 @@ from ftcm_core.scenario import load
 from ftcm_core.simulation import simulate
 from ftcm_core.trace import COLUMNS
 from ftcm_ros.bag import read_bag
-from ftcm_ros.experiment import PROFILES
-from ftcm_ros.network import SHOWN, set_defaults
+from ftcm_ros.network import PROFILES, SHOWN, set_defaults
 
 pytestmark = pytest.mark.ros
 

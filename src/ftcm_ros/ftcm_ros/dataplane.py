@@ -17,7 +17,6 @@ or :meth:`DataPlane.collect`, never beside anything else that the main thread do
 
 from __future__ import annotations
 
-import contextlib
 import ctypes
 import importlib
 import sys
@@ -42,6 +41,9 @@ Handler = Callable[[bytes, int], None]
 
 SWITCH_INTERVAL = 1e-4
 """How long a background thread may keep the interpreter from the tick, s."""
+
+STOP_SECONDS = 8.0
+"""How long the services thread may take to end; what it uses is destroyed then."""
 
 
 _Callback = ctypes.CFUNCTYPE(None, ctypes.c_void_p, ctypes.c_size_t)
@@ -112,7 +114,8 @@ class DataPlane:
         self._wait_set: Any = None
         self._callbacks: list[Any] = []
         self._thread_state = threading.local()
-        self._failure: BaseException | None = None
+        self._failure: Exception | None = None
+        """What a handler or the services thread has raised; raised again on the main thread."""
         self.turn = threading.Condition(threading.RLock())
         """Held by whoever may touch the node's data: by the main thread, except while it polls."""
         self._executor = SingleThreadedExecutor(context=node.context)
@@ -161,7 +164,7 @@ class DataPlane:
                     try:
                         while (taken := handle.take_message(cls, True)) is not None:
                             handler(taken[0], taken[1]["source_timestamp"])
-                    except BaseException as error:  # raised again on the main thread
+                    except Exception as error:
                         self._failure = error
                         self.turn.notify()
 
@@ -191,9 +194,13 @@ class DataPlane:
             self._thread.start()
 
     def _serve(self) -> None:
-        with contextlib.suppress(ExternalShutdownException, ShutdownException):
+        try:
             while self._node.context.ok():
                 self._spin(None)
+        except (ExternalShutdownException, ShutdownException):
+            return
+        except Exception as error:
+            self._failure = error
 
     def _spin(self, seconds: float | None) -> None:
         """Serve one callback; a lifecycle transition that is not possible now must not end the node."""
@@ -205,9 +212,9 @@ class DataPlane:
     def stop(self) -> None:
         """Stop serving; the data plane is not used after this."""
         self._ignore()
-        self._executor.shutdown(timeout_sec=1.0)
+        self._executor.shutdown(timeout_sec=STOP_SECONDS)
         if self._thread is not None:
-            self._thread.join(timeout=1.0)
+            self._thread.join(timeout=STOP_SECONDS)
 
     def poll(self, timeout_ns: int, trigger: Topic | None = None) -> None:
         """Wait at most so long for messages, then hand what is here to the handlers, one of each topic.
@@ -220,10 +227,10 @@ class DataPlane:
         Raises:
             Exception: what a handler has raised.
         """
+        self._raise_failure()
         if self._path == "listener":
             self.turn.wait(timeout_ns / 1e9)
-            if self._failure is not None:
-                raise self._failure
+            self._raise_failure()
             return
         if self._path == "executor":
             self._spin(timeout_ns / 1e9)
@@ -242,6 +249,10 @@ class DataPlane:
             if taken is not None:
                 handler(taken[0], taken[1]["source_timestamp"])
 
+    def _raise_failure(self) -> None:
+        if self._failure is not None:
+            raise self._failure
+
     def wake(self) -> None:
         """End the wait of :meth:`poll`, where it would not end by itself soon."""
         if self._path == "listener":
@@ -250,6 +261,7 @@ class DataPlane:
 
     def collect(self, seconds: float) -> None:
         """Let messages gather for a while, then hand all of them to the handlers: one wake-up for many."""
+        self._raise_failure()
         if self._path == "executor":
             self._spin(seconds)
             return

@@ -8,6 +8,7 @@ import os
 import random
 import re
 import tempfile
+import time
 from pathlib import Path
 from typing import IO
 
@@ -17,10 +18,12 @@ DOMAINS = range(1, 102)
 """Domain numbers that are safe with Linux's default ports."""
 PORT_BASE, PORT_GAIN = 7400, 250
 """Ports of a domain (DDS-RTPS 9.6.2); Fast DDS names its shared-memory ports alike."""
+SETTLED_SECONDS = 2.0
+"""A lock file younger than this may not be locked yet by the process that has just made it."""
 
 
 class Domain:
-    """Holds a domain number, by a file lock that ends with the process."""
+    """Holds a domain number, by a file lock that ends with the last process that has the file open."""
 
     def __init__(self, wanted: int | None = None) -> None:
         """Take the wanted domain, or any free one.
@@ -36,6 +39,7 @@ class Domain:
             if lock is not None:
                 self.number = number
                 self._file = lock
+                self.clean()
                 return
         what = f"domain {wanted} is" if wanted is not None else "all domains are"
         raise FtcmError(
@@ -53,9 +57,17 @@ class Domain:
             return None
         return file
 
-    def release(self) -> None:
-        """Give the domain back, without the shared memory that killed nodes have left in it."""
+    def fileno(self) -> int:
+        """Descriptor of the lock file: a process that inherits it holds the domain until it ends."""
+        return self._file.fileno()
+
+    def clean(self) -> None:
+        """Remove the shared memory that killed nodes have left."""
         remove_dead_shared_memory(self.number)
+
+    def release(self) -> None:
+        """Give the domain back, clean."""
+        self.clean()
         self._file.close()
 
 
@@ -63,37 +75,41 @@ def remove_dead_shared_memory(domain: int, folder: Path = Path("/dev/shm")) -> l
     """Remove Fast DDS's shared-memory files of processes that were killed.
 
     Args:
-        domain: a domain that nobody else uses: its port files go.
+        domain: a domain held by the caller: its ports that nobody listens on go.
         folder: where shared memory is.
 
     Returns:
-        Names of the files removed. A segment goes only if the lock its owner holds is free.
+        Names of the files removed. What a process is using has its lock held and stays.
     """
     removed = []
     ports = range(PORT_BASE + PORT_GAIN * domain, PORT_BASE + PORT_GAIN * (domain + 1))
     for path in sorted(folder.glob("*fastrtps_*")):
-        port = re.fullmatch(r"(?:sem\.)?fastrtps_port(\d+)(?:_el|_mutex)?", path.name)
+        port = re.fullmatch(r"(?:sem\.)?fastrtps_port(\d+)(?:_el|_sl|_mutex)?", path.name)
         segment = re.fullmatch(r"fastrtps_([0-9a-f]{16})(?:_el)?", path.name)
-        dead = (
-            int(port.group(1)) in ports
-            if port
-            else segment and _lock_is_free(folder / f"fastrtps_{segment.group(1)}_el")
-        )
-        if dead:
-            try:
+        if port and int(port.group(1)) in ports:
+            locks = [folder / f"fastrtps_port{port.group(1)}{kind}" for kind in ("_el", "_sl")]
+        elif segment:
+            locks = [folder / f"fastrtps_{segment.group(1)}_el"]
+        else:
+            continue
+        try:
+            if all(_is_free(lock) for lock in locks):
                 path.unlink()
-            except OSError:  # another user's, or gone already
-                continue
-            removed.append(path.name)
+                removed.append(path.name)
+        except OSError:  # another user's, or gone already
+            continue
     return removed
 
 
-def _lock_is_free(path: Path) -> bool:
+def _is_free(lock: Path) -> bool:
+    """Whether nobody holds a lock file: it is not there, or settled and not locked."""
     try:
-        with path.open("rb") as file:
-            fcntl.flock(file, fcntl.LOCK_SH | fcntl.LOCK_NB)
+        with lock.open("rb") as file:
+            if time.time() - os.fstat(file.fileno()).st_mtime < SETTLED_SECONDS:
+                return False
+            fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
     except FileNotFoundError:
         return True
-    except OSError:
+    except BlockingIOError:
         return False
     return True

@@ -2,7 +2,11 @@
 """The orchestration script: runs a scenario over the ROS graph, one run per controller.
 
 Starts the five nodes as processes of their own, drives their lifecycle so that no tick is published
-before every endpoint is matched, follows the run, stops the nodes, reads the bags back and reports.
+before every endpoint is matched, follows the run, stops the nodes, reads the bags back and reports. A run
+that fails ends with its reason, and the next controller's begins.
+
+Exit status: 0 done (a run that diverges is a result), 1 a run failed, 2 a mistake in what was asked,
+130 interrupted.
 """
 
 from __future__ import annotations
@@ -19,29 +23,29 @@ from typing import Any
 
 import rclpy
 from diagnostic_msgs.msg import DiagnosticArray
-from rclpy.node import Node
 
 from ftcm_core.errors import FtcmError
 from ftcm_core.report.results import write_results
 from ftcm_core.scenario import Scenario, load
-from ftcm_ros.bag import read_bag
+from ftcm_ros.bag import BagContents, read_bag
 from ftcm_ros.domain import Domain
 from ftcm_ros.graph import join_as
 from ftcm_ros.latency import hop_times, percentiles, write_figure
 from ftcm_ros.lifecycle_client import Managed, drive
 from ftcm_ros.network import set_defaults
-from ftcm_ros.processes import NodeProcesses
+from ftcm_ros.processes import NodeProcesses, describe_exit
 from ftcm_ros.settings import NODES
 from ftcm_ros.topics import DIAGNOSTICS
+from ftcm_ros.watch import Watch
 
 PAPER_CONTROLLERS = ("smc", "nftsmc", "ftcm")
-START_SECONDS = 30.0
+START_SECONDS = 60.0
 """How long a node may take to come up."""
 PLANT_STOP_SECONDS = 3.0
 CLOSE_SECONDS = 15.0
 """How long the recorder may take to close the bag."""
-SILENCE_SECONDS = 5.0
-"""How long a node may say nothing on /diagnostics before the run ends."""
+PATIENCE_SECONDS = 5.0
+"""How long a node may be silent, or make no tick, before the run ends."""
 MATCHING_ORDER = ("observer", "controller", "injector", "plant", "recorder")
 """Order of configuration: that of the tick, so that each message reaches first who acts on it next."""
 RECORDER_WINDOW = 1000
@@ -83,29 +87,33 @@ class Run:
     """One scenario with one controller over the graph."""
 
     def __init__(
-        self, scenario: Scenario, label: str, folder: Path, options: argparse.Namespace, domain: int
+        self, scenario: Scenario, label: str, folder: Path, options: argparse.Namespace, domain: Domain
     ) -> None:
         """Prepare folders and processes; nothing is started yet."""
         self.scenario, self.label, self.folder, self.options = scenario, label, folder, options
         self.bag = folder / "bags" / label
         self.logs = folder / "logs" / label
         self.processes = NodeProcesses(
-            self.logs, {"ROS_DOMAIN_ID": str(domain), "ROS_LOG_DIR": str(self.logs.resolve())}
+            self.logs,
+            {"ROS_DOMAIN_ID": str(domain.number), "ROS_LOG_DIR": str(self.logs.resolve())},
+            [domain.fileno()],
         )
         self.health: dict[str, dict[str, str]] = {}
-        self.heard: dict[str, float] = {}
+        self.watch: Watch | None = None
         self.timing: dict[str, Any] = {}
 
-    def execute(self, node: Node) -> None:
+    def execute(self) -> None:
         """Run to the end of the scenario; the nodes are stopped whatever happens.
 
+        Takes part in the domain only so long: what it knew of nodes that were killed ends with it.
+
         Raises:
-            FtcmError: a node did not come up, died, or fell silent.
+            FtcmError: a node did not come up, died, fell silent, made no tick, or did not end well.
             Interrupted: the user stopped it.
         """
-        self.node = node
+        self.node = node = join_as("experiment")
         self.managed = {name: Managed(node, name) for name in NODES}
-        subscription = node.create_subscription(DiagnosticArray, DIAGNOSTICS.name, self._on_diagnostics, 100)
+        node.create_subscription(DiagnosticArray, DIAGNOSTICS.name, self._on_diagnostics, 100)
         began = time.monotonic()
         try:
             self._start()
@@ -117,11 +125,18 @@ class Run:
                 self.timing["run_seconds"] = round(time.monotonic() - began, 3)
                 self._close_bag()
         finally:
-            self.processes.stop()
-            node.destroy_subscription(subscription)
-            for managed in self.managed.values():
-                managed.destroy()
+            codes = self.processes.stop()
+            node.destroy_node()
+            rclpy.try_shutdown()
             self.timing["nodes"] = self.health
+        for name, code in codes.items():
+            ending = f"node {name!r} {describe_exit(code)} after the run; {self.processes.last_words(name)}"
+            if code > 0:
+                raise FtcmError(ending)
+            if code < 0:  # what it had to do is done
+                say(f"warning: {self.label}: {ending}")
+        if not (self.bag / "metadata.yaml").exists():
+            raise FtcmError(f"the bag was not closed; {self.processes.last_words('recorder')}")
 
     def _start(self) -> None:
         scenario_file = self.logs / "scenario.yaml"
@@ -147,7 +162,6 @@ class Run:
             self.transition("configure", (name,))
         others = tuple(n for n in NODES if n != "plant")
         self.transition("activate", others)
-        self.heard = dict.fromkeys(NODES, time.monotonic())
         self.transition("activate", ("plant",))
 
     def transition(self, name: str, nodes: tuple[str, ...]) -> None:
@@ -170,12 +184,15 @@ class Run:
         for status in message.status:
             name, _, what = status.name.partition(":")
             if name in NODES and what.strip() == "tick":
-                self.health[name] = {"message": status.message, **{v.key: v.value for v in status.values}}
-                self.heard[name] = time.monotonic()
+                health = {"message": status.message, **{v.key: v.value for v in status.values}}
+                self.health[name] = health
+                if self.watch is not None:
+                    self.watch.hear(name, int(health["ticks"]))
 
     def _follow(self) -> None:
         progress = Progress(self.label, self.scenario.last_tick, self.scenario.dt)
         tick, rate = 0, 0.0
+        self.watch = Watch(self.options.mode == "lockstep", self.options.patience)
         while True:
             self._spin()
             plant = self.health.get("plant", {})
@@ -189,18 +206,21 @@ class Run:
                 progress.show(tick, tick / elapsed, missed, final=True)
                 return
             progress.show(tick, rate, missed)
-            for name, when in self.heard.items():
-                if time.monotonic() - when > SILENCE_SECONDS:
-                    raise FtcmError(
-                        f"node {name!r} has said nothing for {SILENCE_SECONDS:g} s at tick {tick}; "
-                        f"{self.processes.last_words(name)}"
-                    )
+            name, reason = self.watch.culprit()
+            if name:
+                state = "its process is stopped" if self.processes.is_stopped(name) else "it runs"
+                said = self.health.get(name, {}).get("message", "")
+                raise FtcmError(
+                    f"node {name!r} {reason}, at tick {tick}: {state}, its last diagnostics {said!r}; "
+                    f"{self.processes.last_words(name)}"
+                )
 
     def _close_bag(self) -> None:
         """End the ticks, then let the recorder take in what is under way and close the bag.
 
         Whatever has become of the other nodes; a node that does not answer is stopped afterwards.
         """
+        self.processes.resume()
         for name, seconds in (("plant", PLANT_STOP_SECONDS), ("recorder", CLOSE_SECONDS)):
             process = self.processes.processes.get(name)
             if process is None or process.poll() is not None:
@@ -248,6 +268,13 @@ def build_parser() -> argparse.ArgumentParser:
         default="listener",
         help="default: listener",
     )
+    parser.add_argument(
+        "--patience",
+        type=float,
+        default=PATIENCE_SECONDS,
+        metavar="SECONDS",
+        help="how long a node may be silent, or make no tick, before the run ends; 2 or more (default: 5)",
+    )
     parser.add_argument("--priority", type=int, default=0, help="SCHED_FIFO priority of the nodes")
     parser.add_argument("--lock-memory", action="store_true", help="lock the nodes' memory")
     parser.add_argument("--processors", default="", help="processors for the nodes, e.g. 0,1; default: all")
@@ -261,6 +288,8 @@ def run_experiment(options: argparse.Namespace) -> int:
     Raises:
         FtcmError: anything that ends the whole experiment.
     """
+    if not options.patience >= 2.0:  # nodes speak once a second
+        raise FtcmError(f"--patience {options.patience:g} is too short; expected 2 s or more")
     names = options.controllers or (PAPER_CONTROLLERS if options.scenario == "paper" else [None])
     scenarios = [load(options.scenario, options.set, controller=n) for n in names]
     labels = [s.controller.type_name for s in scenarios]
@@ -279,85 +308,102 @@ def run_experiment(options: argparse.Namespace) -> int:
     except OSError as error:
         raise FtcmError(f"run {str(folder)!r} cannot be made: {error.strerror or error}") from None
     domain = Domain(options.domain_id)
-    os.environ["ROS_DOMAIN_ID"] = str(domain.number)
-    os.environ["ROS_LOG_DIR"] = str((folder / "logs").resolve())
-    network = set_defaults()
+    network = use_domain(domain, folder)
     say(f"run {folder}: {', '.join(labels)} in {options.mode}, ROS_DOMAIN_ID={domain.number} {network}")
-    failure, finished, timing = "", [], {}
-
-    node = join_as("experiment")
+    failures, runs = [], []
     try:
         for label, scenario in zip(labels, scenarios):
             for line in scenario.controller.warnings():
                 say(f"warning: {line}")
-            run = Run(scenario, label, folder, options, domain.number)
+            run = Run(scenario, label, folder, options, domain)
+            runs.append(run)
             try:
-                run.execute(node)
+                run.execute()
             except (FtcmError, OSError) as error:
-                failure = f"{label}: {error}"
+                failures.append(f"{label}: {error}")
+                say(f"{label}: failed")
             except Interrupted:
-                failure = f"{label}: stopped by the user"
-            timing[label] = run.timing
-            if run.bag.exists():
-                finished.append((label, run.bag))
-                if not failure and not (run.bag / "metadata.yaml").exists():
-                    failure = f"{label}: the bag was not closed; {run.processes.last_words('recorder')}"
-            if failure:
+                failures.append(f"{label}: stopped by the user")
                 break
+            domain.clean()
     finally:
-        node.destroy_node()
-        rclpy.try_shutdown()
         domain.release()
     try:
-        report(folder, finished, timing, options)
+        failures += report(folder, runs, options)
     except FtcmError as error:
-        failure = f"{failure}; {error}" if failure else str(error)
-    if failure:
+        failures.append(str(error))
+    for failure in failures:
         say(f"experiment: error: {failure}")
-        return 130 if options.stop_requested else 1
-    return 0
+    if options.stop_requested:
+        return 130
+    return 1 if failures else 0
 
 
-def report(
-    folder: Path, bags: list[tuple[str, Path]], timing: dict[str, Any], options: argparse.Namespace
-) -> None:
+def use_domain(domain: Domain, folder: Path) -> str:
+    """Let this process and its children take part in a domain, with logs in a folder.
+
+    Returns:
+        Who may take part besides, as ``NAME=value`` words.
+    """
+    os.environ["ROS_DOMAIN_ID"] = str(domain.number)
+    os.environ["ROS_LOG_DIR"] = str((folder / "logs").resolve())
+    return set_defaults()
+
+
+def read_bags(runs: list[Run]) -> tuple[list[tuple[str, BagContents]], list[str]]:
+    """Read back what was recorded, and say what is not whole.
+
+    Returns:
+        Label and contents of each bag, and why others cannot be read.
+    """
+    found, unreadable = [], []
+    for run in runs:
+        if not run.bag.exists():
+            continue
+        try:
+            bag = read_bag(run.bag)
+        except FtcmError as error:
+            unreadable.append(f"{run.label}: {error}")
+            continue
+        found.append((run.label, bag))
+        if bag.recovered:
+            say(f"warning: {run.label}: bag was not closed; recovered: {bag.recovered}")
+        if bag.missing:
+            say(f"warning: {run.label}: ticks missing in the bag: {bag.missing}")
+        if bag.trace.status != "completed":
+            say(f"{run.label}: {bag.trace.status}: {bag.trace.detail}")
+    return found, unreadable
+
+
+def report(folder: Path, runs: list[Run], options: argparse.Namespace) -> list[str]:
     """Read the bags back and write table, figures and summary.
 
+    Returns:
+        Why bags cannot be read.
+
     Raises:
-        FtcmError: a bag cannot be read, and the others are reported before; or the results cannot be written.
+        FtcmError: the results cannot be written.
     """
-    if not bags:
-        return
     say("reading the bags back ...")
-    contents, unreadable = [], []
-    for label, path in bags:
-        try:
-            contents.append((label, read_bag(path)))
-        except FtcmError as error:
-            unreadable.append(str(error))
-    for label, bag in contents:
-        if bag.recovered:
-            say(f"warning: {label}: bag was not closed; recovered: {bag.recovered}")
-        if bag.missing:
-            say(f"warning: {label}: ticks missing in the bag: {bag.missing}")
+    contents, unreadable = read_bags(runs)
+    if not contents:
+        return unreadable
     samples = [(label, hop_times(b)) for label, b in contents]
     extra = {
         "mode": options.mode,
         "timing_us": {label: percentiles(found) for label, found in samples},
-        "timing": timing,
+        "timing": {run.label: run.timing for run in runs},
         "missing_ticks": {label: bag.missing for label, bag in contents},
-        "bags": {label: str(path.relative_to(folder)) for label, path in bags},
+        "bags": {label: str(bag.path.relative_to(folder)) for label, bag in contents},
     }
-    if contents:
-        write_results(
-            folder, [(label, bag.trace) for label, bag in contents], extra, figures=not options.no_figures
-        )
-        if not options.no_figures:
-            write_figure(samples, folder / "figures" / "timing.png")
-        print((folder / "table.md").read_text(encoding="utf-8").rstrip())
-        say(f"results: {folder}/summary.json, table.md, figures/, bags/")
-    if unreadable:
-        raise FtcmError("; ".join(unreadable))
+    write_results(
+        folder, [(label, bag.trace) for label, bag in contents], extra, figures=not options.no_figures
+    )
+    if not options.no_figures:
+        write_figure(samples, folder / "figures" / "timing.png")
+    print((folder / "table.md").read_text(encoding="utf-8").rstrip())
+    say(f"results: {folder}/summary.json, table.md, figures/, bags/")
+    return unreadable
 
 
 def say(text: str) -> None:

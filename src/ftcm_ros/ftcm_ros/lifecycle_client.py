@@ -29,7 +29,6 @@ class Managed:
     def __init__(self, node: Node, name: str) -> None:
         """Make the clients; the node need not be up yet."""
         self.name = name
-        self._node = node
         self._change = node.create_client(ChangeState, f"/{name}/change_state")
         self._get = node.create_client(GetState, f"/{name}/get_state")
         self._pending: Any = None
@@ -66,11 +65,6 @@ class Managed:
                 self._pending = None
         elif now - self._since > ASK_AGAIN_SECONDS and self._get.service_is_ready():
             self._asked, self._since = self._get.call_async(GetState.Request()), now
-
-    def destroy(self) -> None:
-        """Drop the clients."""
-        self._node.destroy_client(self._change)
-        self._node.destroy_client(self._get)
 
 
 def drive(nodes: list[Managed], transition: str, spin: Callable[[], None], timeout: float) -> str:

@@ -9,7 +9,7 @@ import signal
 import subprocess
 import sys
 import time
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -36,9 +36,10 @@ def end_with_parent() -> None:
 class NodeProcesses:
     """One process per node, each with its own log file."""
 
-    def __init__(self, folder: Path, environment: Mapping[str, str]) -> None:
-        """Keep logs and parameter files in a folder."""
+    def __init__(self, folder: Path, environment: Mapping[str, str], files: Sequence[int] = ()) -> None:
+        """Keep logs and parameter files in a folder; the nodes inherit these open files."""
         self.folder = folder
+        self.files = files
         self.environment = {
             **os.environ,
             **environment,
@@ -57,7 +58,7 @@ class NodeProcesses:
         with (self.folder / f"{node}.log").open("wb") as log:
             self.processes[node] = subprocess.Popen(
                 command, env=self.environment, stdin=subprocess.DEVNULL, stdout=log, stderr=subprocess.STDOUT,
-                start_new_session=True,
+                start_new_session=True, pass_fds=self.files,
             )  # fmt: skip
 
     def check(self) -> None:
@@ -77,7 +78,21 @@ class NodeProcesses:
         lines = [line.strip() for line in log.read_text(errors="replace").splitlines() if line.strip()]
         if not lines:
             return f"it wrote nothing (log: {log})"
-        return f"its last words: {' | '.join(lines[-3:])} (log: {log})"
+        said_why = lines[-1].startswith(f"{node}: ")
+        return f"its last words: {' | '.join(lines[-1:] if said_why else lines[-3:])} (log: {log})"
+
+    def is_stopped(self, node: str) -> bool:
+        """Whether a node's process is stopped, as by SIGSTOP or a debugger."""
+        try:
+            stat = Path(f"/proc/{self.pid(node)}/stat").read_text()
+        except (OSError, KeyError):
+            return False
+        return stat.rpartition(")")[2].split()[0] in "Tt"
+
+    def resume(self) -> None:
+        """Let stopped nodes go on: a stopped process can neither finish nor act on a signal."""
+        for process in self.processes.values():
+            process.send_signal(signal.SIGCONT)  # does nothing to a process that has ended
 
     def pid(self, node: str) -> int:
         """Process number of a node."""

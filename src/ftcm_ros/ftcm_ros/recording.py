@@ -21,6 +21,7 @@ from ftcm_core.errors import FtcmError
 from ftcm_core.provenance import provenance
 from ftcm_core.scenario import Scenario
 from ftcm_ros.codec import stamp_of
+from ftcm_ros.spool import Spool
 from ftcm_ros.topics import DEPTH, EVENTS, SCENARIO, Topic, data_topics
 
 STORAGE = {"mcap": StoragePlugin.MCAP, "sqlite3": StoragePlugin.SQLITE3}
@@ -99,6 +100,9 @@ class Recording:
         typestore = get_typestore(Stores.ROS2_JAZZY)
         text = typestore.types[SCENARIO.type](scenario.to_yaml())
         try:
+            if storage == "mcap":
+                mcap: Any = self._writer.storage
+                mcap.chunks = Spool(path)
             self._connections = {
                 topic.name: self._writer.add_connection(
                     "/" + topic.name.lstrip("/"),

@@ -8,6 +8,7 @@ import signal
 import sys
 import threading
 import time
+import traceback
 from abc import abstractmethod
 from collections.abc import Callable
 from typing import Any
@@ -35,6 +36,8 @@ POLL_NS = NANOSECONDS // 50
 """How often a waiting node looks at other things, ns."""
 MATCH_TIMEOUT = 20.0
 """How long a node waits at activation for the suite's other nodes, s."""
+STOP_LIMIT = 30
+"""How long a node that was asked to stop may take; a signal ends it then, s."""
 
 
 class SuiteNode(LifecycleNode):
@@ -149,6 +152,9 @@ class SuiteNode(LifecycleNode):
     def deactivate(self) -> None:
         """End the run; main thread."""
 
+    def abandon(self) -> None:
+        """Save what can be saved; an error is about to end the process."""
+
     def on_main_thread(self, work: Callable[[], Any]) -> Any:
         """Run something between two polls of the main loop and return its result."""
         if threading.current_thread() is self._main:
@@ -180,10 +186,14 @@ class SuiteNode(LifecycleNode):
                 self.trigger_activate()
                 if not self.active:
                     raise FtcmError(self._failure)
-            while not self.stopping:
+            try:
+                while not self.stopping:
+                    self.do_main_thread_work()
+                    self.step()
                 self.do_main_thread_work()
-                self.step()
-            self.do_main_thread_work()
+            except Exception:
+                self.abandon()
+                raise
             self._deactivate()
 
     def step(self) -> None:
@@ -374,13 +384,19 @@ class ReactiveNode(SuiteNode):
 
 
 def run(factory: Callable[[], SuiteNode]) -> int:
-    """Run a node until SIGINT or SIGTERM; a user's mistake is one line and status 2."""
+    """Run a node until SIGINT or SIGTERM.
+
+    Returns:
+        The exit status: a user's mistake is one line and 2; a programming error is a traceback, then a
+        line with the node, its tick and the error, and 1.
+    """
     node: SuiteNode | None = None
 
     def stop(signum: int, frame: Any) -> None:
         if node is None:
             raise KeyboardInterrupt
         node.stopping = True
+        signal.alarm(STOP_LIMIT)
 
     signal.signal(signal.SIGINT, stop)
     signal.signal(signal.SIGTERM, stop)
@@ -396,6 +412,12 @@ def run(factory: Callable[[], SuiteNode]) -> int:
         text = " ".join(str(error).split())
         print(f"{node.get_name() if node else 'ftcm_ros'}: error: {text}", file=sys.stderr)
         return 2
+    except Exception as error:  # a programming error, or one in a component
+        traceback.print_exc()
+        where = f"{node.get_name()}: at tick {node.ticks}" if node else "ftcm_ros: at start"
+        text = " ".join(f"{type(error).__name__}: {error}".split())
+        print(f"{where}: {text}", file=sys.stderr)
+        return 1
     finally:
         if node is not None:
             node.plane.stop()

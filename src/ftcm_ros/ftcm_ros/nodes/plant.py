@@ -5,8 +5,6 @@ from __future__ import annotations
 
 import sys
 import time
-from array import array
-from collections.abc import Sequence
 from typing import Any
 
 from builtin_interfaces.msg import Time
@@ -14,6 +12,7 @@ from rclpy.serialization import deserialize_message
 from std_msgs.msg import String
 
 from ftcm_core.signals import NANOSECONDS, TrueDisturbance, seconds
+from ftcm_ros.durations import Durations
 from ftcm_ros.nodes.base import POLL_NS, ExecutionTimes, SuiteNode, run
 from ftcm_ros.pacing import PACERS, Misses, RealTime
 from ftcm_ros.topics import CLOCK, DISTURBANCE, JOINT_STATES, RECORDED, SCENARIO, TORQUES, TRUE_STATE, Topic
@@ -81,12 +80,14 @@ class PlantNode(SuiteNode):
         self._recorded_ns = -1
         for latest in self._inputs.values():
             latest.update(time_ns=-1, value=(0.0,) * self.scenario.robot.joints)
-        self.latencies = array("q")
-        self.lateness = array("q")
+        self.latencies = Durations()
+        self.lateness = Durations()
         self._answered = False
         self._finished = False
         self._published_at = 0
         self.asked_again = 0
+        self._raised = ""
+        """What the robot's equations raised: it was driven out of their domain."""
 
     def activate(self) -> None:
         """Begin at tick 0."""
@@ -135,7 +136,7 @@ class PlantNode(SuiteNode):
         torque, disturbance = (self._inputs[t]["time_ns"] == self.time_ns for t in (TORQUES, DISTURBANCE))
         if torque and disturbance and not self._answered:
             self._answered = True
-            self.latencies.append(time.monotonic_ns() - self._published_at)
+            self.latencies.add(time.monotonic_ns() - self._published_at)
             self._integrate()
             self._go_on()
 
@@ -148,7 +149,10 @@ class PlantNode(SuiteNode):
         if self.tick < self.scenario.last_tick:
             begin = time.monotonic_ns()
             u, d = (self._inputs[t]["value"] for t in (TORQUES, DISTURBANCE))
-            self.stage.step(u, TrueDisturbance(d))
+            try:
+                self.stage.step(u, TrueDisturbance(d))
+            except (ArithmeticError, ValueError) as error:
+                self._raised = str(error)
             self.times.add(time.monotonic_ns() - begin)
 
     def _end_of_tick(self) -> None:
@@ -159,7 +163,9 @@ class PlantNode(SuiteNode):
                 self.misses.late_disturbance += 1
             self._integrate()
         self.ticks += 1
-        if self.stage.diverged:
+        if self._raised:
+            self._finish("diverged", f"at t = {seconds(self.time_ns):g} s: {self._raised}")
+        elif self.stage.diverged:
             self._finish(
                 "diverged", f"at t = {seconds(self.time_ns + self.scenario.dt_ns):g} s: {self.stage.diverged}"
             )
@@ -177,7 +183,7 @@ class PlantNode(SuiteNode):
     def _publish_measurement(self) -> None:
         self._published_at = time.monotonic_ns()
         if isinstance(self.pacer, RealTime) and self.tick:
-            self.lateness.append(self._published_at - self.pacer.deadline + self.scenario.dt_ns)
+            self.lateness.add(self._published_at - self.pacer.deadline + self.scenario.dt_ns)
         stage = self.stage
         self._publish(self.codec.state.encode(self.time_ns, *stage.measure()))
         if self._publish_truth is not None:
@@ -219,26 +225,14 @@ class PlantNode(SuiteNode):
             "late_disturbance": misses.late_disturbance,
             "plant_overrun": misses.plant_overrun,
             "asked_again": self.asked_again,
-            **percentiles("latency", self._samples(self.latencies)),
-            **percentiles("jitter", self._samples(self.lateness)),
+            **self._percentiles("latency", self.latencies),
+            **self._percentiles("jitter", self.lateness),
             **times,
         }  # fmt: skip
 
-    def _samples(self, samples: Sequence[int]) -> Sequence[int]:
-        """While running, the last second only: sorting a whole run would hold up the tick."""
-        return samples[-round(1.0 / self.scenario.dt) :] if self.active else samples
-
-
-def percentiles(name: str, samples: Sequence[int]) -> dict[str, float]:
-    """Return p50, p99, p99.9 and the largest of samples in ns, as µs; nothing without samples."""
-    if not samples:
-        return {}
-    ordered = sorted(samples)
-    found = {
-        f"{name}_{label}_us": round(ordered[min(len(ordered) - 1, int(share * len(ordered)))] / 1000, 1)
-        for label, share in (("p50", 0.5), ("p99", 0.99), ("p999", 0.999))
-    }
-    return {**found, f"{name}_max_us": round(ordered[-1] / 1000, 1)}
+    def _percentiles(self, name: str, durations: Durations) -> dict[str, float]:
+        """While running, of the last second; then of the whole run."""
+        return durations.recent(name) if self.active else durations.whole(name)
 
 
 def main() -> None:

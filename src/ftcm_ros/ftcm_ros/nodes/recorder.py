@@ -96,6 +96,11 @@ class RecorderNode(SuiteNode):
             self.get_logger().warning(f"ticks missing in the bag: {missing}")
         self.get_logger().info(f"closed {self._path}: {recording.counts['joint_states'].messages} ticks")
 
+    def abandon(self) -> None:
+        """Close the bag with what is in it."""
+        if self.recording is not None:
+            self.recording.close()
+
     def step(self) -> None:
         """Take messages in, say how far the recording is, flush now and then.
 

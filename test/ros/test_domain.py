@@ -1,0 +1,89 @@
+# SPDX-License-Identifier: Apache-2.0
+"""A domain is held until the last process that shares it has ended, and dead shared memory is removed."""
+
+from __future__ import annotations
+
+import fcntl
+import os
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import pytest
+
+from ftcm_core.errors import FtcmError
+from ftcm_ros.domain import DOMAINS, PORT_BASE, PORT_GAIN, SETTLED_SECONDS, Domain, remove_dead_shared_memory
+
+DOMAIN = 7
+PORT = PORT_BASE + PORT_GAIN * DOMAIN + 11
+
+
+def test_a_domain_is_taken_once_and_given_back() -> None:
+    held = Domain()
+    with pytest.raises(FtcmError, match="in use by other runs"):
+        Domain(held.number)
+    held.release()
+    Domain(held.number).release()
+
+
+def test_a_child_that_inherits_the_lock_holds_the_domain() -> None:
+    held = Domain(DOMAINS[-1])
+    child = subprocess.Popen(
+        [sys.executable, "-c", "input()"], stdin=subprocess.PIPE, pass_fds=[held.fileno()]
+    )
+    held.release()
+    with pytest.raises(FtcmError, match="in use"):
+        Domain(held.number)
+    child.communicate(b"\n", timeout=60)
+    Domain(held.number).release()
+
+
+def make(folder: Path, *names: str, age: float = 2 * SETTLED_SECONDS) -> None:
+    for name in names:
+        (folder / name).touch()
+        os.utime(folder / name, (time.time() - age,) * 2)
+
+
+def left(folder: Path) -> set[str]:
+    return {f.name for f in folder.iterdir()}
+
+
+@pytest.mark.parametrize("kind", ["el", "sl"])
+def test_what_nobody_holds_is_removed_and_what_is_in_use_stays(tmp_path: Path, kind: str) -> None:
+    dead = "fastrtps_00000000000000aa"
+    alive = "fastrtps_00000000000000bb"
+    ports = [f"fastrtps_port{PORT + i}" for i in range(3)]
+    make(tmp_path, dead, f"{dead}_el", alive, f"{alive}_el")
+    make(
+        tmp_path,
+        ports[0],
+        f"{ports[0]}_el",
+        f"sem.{ports[0]}_mutex",
+        ports[1],
+        f"{ports[1]}_{kind}",
+        ports[2],
+    )
+    other = {"fastrtps_port99999", "fastrtps_port99999_el", "sem.other", "fastrtps_portx"}
+    make(tmp_path, *other)
+    with (tmp_path / f"{alive}_el").open() as segment, (tmp_path / f"{ports[1]}_{kind}").open() as port:
+        fcntl.flock(segment, fcntl.LOCK_EX)
+        fcntl.flock(port, fcntl.LOCK_SH if kind == "sl" else fcntl.LOCK_EX)
+        removed = remove_dead_shared_memory(DOMAIN, tmp_path)
+    assert set(removed) == {
+        dead,
+        f"{dead}_el",
+        ports[0],
+        f"{ports[0]}_el",
+        f"sem.{ports[0]}_mutex",
+        ports[2],
+    }
+    assert left(tmp_path) == {alive, f"{alive}_el", ports[1], f"{ports[1]}_{kind}", *other}
+
+
+def test_a_lock_file_made_just_now_is_left_alone(tmp_path: Path) -> None:
+    """Its owner has yet to lock it."""
+    make(tmp_path, "fastrtps_00000000000000cc_el", age=0.0)
+    make(tmp_path, "fastrtps_00000000000000cc")
+    assert remove_dead_shared_memory(DOMAIN, tmp_path) == []
+    assert len(left(tmp_path)) == 2

@@ -1,0 +1,185 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Nodes that are killed, stopped or fail in the middle of a run, on real processes."""
+
+from __future__ import annotations
+
+import json
+import os
+import random
+import subprocess
+from collections.abc import Callable
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+import pytest
+
+pytest.importorskip("rclpy", reason="ROS 2 (rclpy) is not installed")
+
+from ftcm_core.scenario import load
+from ftcm_core.simulation import simulate
+from ftcm_ros.bag import read_bag
+
+pytestmark = pytest.mark.ros
+
+Start = Callable[..., "subprocess.Popen[str]"]
+
+DURATION = {"lockstep": 3.0, "real_time": 10.0}
+"""Length of the runs: a real-time run without its controller goes on until that is noticed, s."""
+LAST_TICK = 900
+"""The faults come in a tick before this one."""
+PATIENCE = 3.0
+CEILING = 60.0
+"""Generous: within what time a run with a fault has ended, start included, s."""
+
+INJECT = """
+import json, os, signal, sys
+from pathlib import Path
+
+words = sys.orig_argv
+node = next((w.rpartition(".")[2] for w in words if w.startswith("ftcm_ros.nodes.")), "")
+if node and "--params-file" in words:
+    run = Path(words[words.index("--params-file") + 1]).parent.name
+    victim, fault, tick = json.loads(os.environ["FAULTS"]).get(run, ("", "", 0))
+    if victim == node:
+        from ftcm_core import stages
+        from ftcm_ros import recording
+
+        owner, name = {
+            "plant": (stages.PlantStage, "step"),
+            "observer": (stages.ObserverStage, "step"),
+            "controller": (stages.ControllerStage, "step"),
+            "injector": (stages.InjectorStage, "step"),
+            "recorder": (recording.TopicCount, "add"),
+        }[node]
+        original, calls = getattr(owner, name), 0
+
+        def step(self, *arguments):
+            global calls
+            calls += 1
+            if calls == tick * (5 if node == "recorder" else 1) + 1:
+                if fault == "exception":
+                    raise RuntimeError("injected")
+                if fault == "hang":
+                    while True:
+                        pass
+                os.kill(os.getpid(), signal.Signals[fault])
+            return original(self, *arguments)
+
+        setattr(owner, name, step)
+"""
+"""Loaded by every Python process of the experiment: in one node of each run, a fault at a tick."""
+
+
+class Fault(NamedTuple):
+    """What happens to whom, in the run of one controller."""
+
+    controller: str
+    node: str
+    kind: str
+
+
+def named(fault: Fault, tick: int, line: str) -> bool:
+    """Whether a line of the experiment names run, node and cause."""
+    at = "" if fault.node == "recorder" else f"{tick}: RuntimeError: injected"  # it is behind the others
+    cause = {
+        "SIGKILL": "was ended by SIGKILL",
+        "SIGSTOP": f"has said nothing for {PATIENCE:g} s",
+        "hang": f"has made no tick for {PATIENCE:g} s",
+        "exception": f"its last words: {fault.node}: at tick {at}",
+    }[fault.kind]
+    return line.startswith(f"experiment: error: {fault.controller}: node {fault.node!r} ") and cause in line
+
+
+def alive_in(folder: Path) -> list[str]:
+    """Processes of nodes whose parameters are in a folder."""
+    found = []
+    for entry in Path("/proc").iterdir():
+        if entry.name.isdecimal():
+            try:
+                words = (entry / "cmdline").read_bytes().decode(errors="replace")
+            except OSError:
+                continue
+            if str(folder) in words and "ftcm_ros.nodes" in words:
+                found.append(words.replace("\0", " "))
+    return found
+
+
+LAWS = ("ftcm", "smc", "pid", "nftsmc", "ctc", "ftsmc")
+ROUNDS = {
+    "quick lockstep": "plant:SIGKILL observer:SIGSTOP controller:exception",
+    "quick real_time": "injector:SIGKILL recorder:SIGSTOP",
+    "1 lockstep": "observer:exception controller:SIGKILL injector:SIGSTOP "
+    "recorder:exception plant:SIGSTOP observer:SIGKILL",
+    "2 lockstep": "recorder:SIGKILL plant:exception controller:SIGSTOP "
+    "injector:exception recorder:SIGSTOP injector:SIGKILL",
+    "1 real_time": "plant:SIGKILL observer:SIGSTOP controller:exception "
+    "recorder:SIGKILL injector:exception plant:SIGSTOP",
+    "2 real_time": "observer:exception controller:SIGKILL injector:SIGSTOP "
+    "recorder:exception plant:exception observer:SIGKILL",
+    "3 real_time": "controller:SIGSTOP controller:hang",
+}
+"""Experiments: a fault in the run of each controller; together each node and fault in both modes."""
+
+
+@pytest.mark.parametrize(
+    "name", [pytest.param(n, marks=() if n.startswith("quick") else pytest.mark.slow) for n in ROUNDS]
+)
+def test_a_fault_ends_its_run_only(
+    start: Start,
+    tmp_path: Path,
+    domain: int,
+    monkeypatch: pytest.MonkeyPatch,
+    shared_memory: Callable[[], list[str]],
+    name: str,
+) -> None:
+    mode = name.split()[1]
+    faults = [Fault(law, *pair.split(":")) for law, pair in zip(LAWS, ROUNDS[name].split())]
+    without = LAWS[len(faults) : len(faults) + 1] if name == "quick lockstep" else ()
+    duration = f"duration={DURATION[mode]}"
+    seed = random.randrange(10**6)
+    print(f"seed {seed}")
+    draw = random.Random(seed)
+    ticks = {f.controller: draw.randint(1, LAST_TICK) for f in faults}
+    (tmp_path / "hook").mkdir()
+    (tmp_path / "hook" / "sitecustomize.py").write_text(INJECT)
+    monkeypatch.setenv("PYTHONPATH", f"{tmp_path / 'hook'}{os.pathsep}{os.environ.get('PYTHONPATH', '')}")
+    monkeypatch.setenv(
+        "FAULTS", json.dumps({f.controller: (f.node, f.kind, ticks[f.controller]) for f in faults})
+    )
+    process = start(
+        "experiment", "paper", "--mode", mode, "--patience", str(PATIENCE), "--name", "test", "--no-figures",
+        "--domain-id", str(domain), "--set", duration,
+        "--controllers", *(f.controller for f in faults), *without,
+    )  # fmt: skip
+    _, err = process.communicate(timeout=CEILING * len(faults))
+    assert process.returncode == 1, err
+    assert "Traceback" not in err
+    lines = [line for line in err.splitlines() if line.startswith("experiment: error: ")]
+    assert len(lines) == len(faults), err
+    folder = tmp_path / "runs" / "test"
+    for fault, line in zip(faults, lines):
+        tick = ticks[fault.controller]
+        assert named(fault, tick, line), f"{fault} at tick {tick}: {line}"
+        log = (folder / "logs" / fault.controller / f"{fault.node}.log").read_text()
+        assert ("Traceback" in log) == (fault.kind == "exception")
+        if fault.node == "recorder" and fault.kind == "SIGKILL":
+            continue
+        bag = read_bag(folder / "bags" / fault.controller)
+        if fault.node == "recorder" and fault.kind == "exception":  # all it had written, that message too
+            assert sum(map(len, bag.stamps.values())) == 5 * tick + 1
+            continue
+        if mode == "lockstep":
+            assert bag.trace.ticks >= tick
+            expected = simulate(load("paper", [duration], controller=fault.controller))
+            assert np.array_equal(bag.trace.position, expected.position[: bag.trace.ticks])
+            assert np.array_equal(bag.trace.command[:tick], expected.command[:tick])
+        else:
+            assert bag.trace.ticks >= tick
+    for law in without:
+        bag = read_bag(folder / "bags" / law)
+        assert bag.missing == {}
+        again = simulate(load("paper", [duration], controller=law))
+        assert np.array_equal(bag.trace.position, again.position)
+    assert alive_in(tmp_path) == []
+    assert shared_memory() == []
