@@ -22,6 +22,7 @@ from ftcm_core.simulation import simulate
 from ftcm_core.trace import COLUMNS
 from ftcm_ros.bag import read_bag
 from ftcm_ros.network import PROFILES, SHOWN, set_defaults
+from ftcm_ros.processes import PARENT_VARIABLE
 
 pytestmark = pytest.mark.ros
 
@@ -122,7 +123,8 @@ class Machine:
 def environment(**variables: str) -> dict[str, str]:
     """This process's environment without what restricts ROS, and with the given variables."""
     kept = {k: v for k, v in os.environ.items() if k not in SHOWN}
-    return {**kept, "ROS_DOMAIN_ID": "7", "PYTHONUNBUFFERED": "1", **variables}
+    ends_with_the_tests = {PARENT_VARIABLE: str(os.getpid())}
+    return {**kept, **ends_with_the_tests, "ROS_DOMAIN_ID": "7", "PYTHONUNBUFFERED": "1", **variables}
 
 
 @pytest.fixture
