@@ -14,6 +14,7 @@ from rclpy.serialization import deserialize_message
 from std_msgs.msg import String
 
 from ftcm_core.signals import NANOSECONDS, TrueDisturbance, seconds
+from ftcm_core.trace import ENDED_EARLY
 from ftcm_ros.nodes.base import POLL_NS, ExecutionTimes, SuiteNode, run
 from ftcm_ros.pacing import PACERS, Misses, RealTime
 from ftcm_ros.topics import CLOCK, DISTURBANCE, JOINT_STATES, RECORDED, SCENARIO, TORQUES, TRUE_STATE, Topic
@@ -150,10 +151,9 @@ class PlantNode(SuiteNode):
                 self.misses.late_disturbance += 1
             self._integrate()
         self.ticks += 1
-        if self.stage.diverged:
-            self._finish(
-                "diverged", f"at t = {seconds(self.time_ns + self.scenario.dt_ns):g} s: {self.stage.diverged}"
-            )
+        if self.stage.reason:
+            after = seconds(self.time_ns + self.scenario.dt_ns)
+            self._finish(self.stage.status, f"at t = {after:g} s: {self.stage.reason}")
         elif self.tick == self.scenario.last_tick:
             self._finish("completed", f"{seconds(self.time_ns):g} s")
         else:
@@ -192,7 +192,7 @@ class PlantNode(SuiteNode):
         level = "ok"
         if misses.total and self.ticks:
             level = "error" if misses.total > 0.01 * self.ticks else "warn"
-        if self.state == "diverged":
+        if self.state in ENDED_EARLY:
             level = "error"
         message = f"{self.state}: {self.detail}" if self.detail else self.state
         if misses.total:
