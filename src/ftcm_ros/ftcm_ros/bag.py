@@ -203,7 +203,8 @@ def _column(
         times, arrays = decoded[topic]
         values = arrays[index]
         if values is not None:
-            out[np.searchsorted(stamps, times)] = values
+            once, first = np.unique(times, return_index=True)  # as in the nodes, the first of a tick counts
+            out[np.searchsorted(stamps, once)] = values[first]
     return out
 
 

@@ -27,6 +27,7 @@ from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
 from rclpy.subscription import Subscription
 
 from ftcm_core.scenario import Scenario
+from ftcm_ros.sources import Source
 from ftcm_ros.topics import DEPTH, Topic, subscribers
 
 Handler = Callable[[bytes, int], None]
@@ -74,15 +75,20 @@ class DataPlane:
         self._group = _NoExecutor() if path == "waitset" else MutuallyExclusiveCallbackGroup()
         self._wanted: list[tuple[Topic, Handler]] = []
         self._subscriptions: list[Subscription] = []
-        self._taken: list[tuple[Topic, Any, Any, Handler]] = []
-        """Topic, rclpy handle, message class and handler of each subscription, in order of declaration."""
+        self._taken: list[tuple[Topic, Any, Any, Callable[[bytes, Any], None]]] = []
+        """Topic, rclpy handle, message class and callback of each subscription, in order of declaration."""
+        self.sources: dict[str, Source] = {}
+        """Whose messages count, of each subscribed topic that has one publisher in the suite."""
         self._publishers: list[tuple[Topic, Publisher]] = []
         self._wait_set: Any = None
         self._executor = SingleThreadedExecutor(context=node.context)
         self._thread: threading.Thread | None = None
 
     def subscribe(self, topic: Topic, handler: Handler) -> None:
-        """Hand every message of a topic to a handler, serialized, on the main thread, once opened."""
+        """Hand every message of a topic to a handler, serialized, on the main thread, once opened.
+
+        Of a topic that has one publisher in the suite, messages of others are dropped and counted.
+        """
         self._wanted.append((topic, handler))
 
     def open(self) -> None:
@@ -93,19 +99,27 @@ class DataPlane:
         """
         for topic, handler in self._wanted:
             cls = message_class(topic.type)
-
-            def callback(data: bytes, info: Any, handler: Handler = handler) -> None:
-                handler(data, info["source_timestamp"])
-
+            callback = self._callback(topic, handler)
             made = self._node.create_subscription(
                 cls, topic.name, callback, qos(topic), callback_group=self._group, raw=True
             )
             self._subscriptions.append(made)
-            self._taken.append((topic, made.handle, cls, handler))
+            self._taken.append((topic, made.handle, cls, callback))
         if self._wanted and self._path == "waitset":
             count = len(self._subscriptions)
             self._wait_set = _rclpy.WaitSet(count, 0, 0, 0, 0, 0, self._node.context.handle)
         self._wanted = []
+
+    def _callback(self, topic: Topic, handler: Handler) -> Callable[[bytes, Any], None]:
+        if len(topic.publishers) > 1:
+            return lambda data, info: handler(data, info["source_timestamp"])
+        source = self.sources[topic.name] = Source(lambda: self._node.count_publishers(topic.name))
+
+        def callback(data: bytes, info: Any) -> None:
+            if source.admits(info["publication_sequence_number"]):
+                handler(data, info["source_timestamp"])
+
+        return callback
 
     def publisher(self, topic: Topic) -> Callable[[Any], None]:
         """Return a function that publishes a message object or its serialized bytes."""
@@ -159,10 +173,10 @@ class DataPlane:
             if trigger is None or topic is trigger:
                 wait_set.add_subscription(handle)
         wait_set.wait(timeout_ns)
-        for _, handle, cls, handler in self._taken:
+        for _, handle, cls, callback in self._taken:
             taken = handle.take_message(cls, True)
             if taken is not None:
-                handler(taken[0], taken[1]["source_timestamp"])
+                callback(*taken)
 
     def collect(self, seconds: float) -> None:
         """Let messages gather for a while, then hand all of them to the handlers: one wake-up for many."""
@@ -170,9 +184,9 @@ class DataPlane:
             self._spin(seconds)
             return
         time.sleep(seconds)
-        for _, handle, cls, handler in self._taken:
+        for _, handle, cls, callback in self._taken:
             while (taken := handle.take_message(cls, True)) is not None:
-                handler(taken[0], taken[1]["source_timestamp"])
+                callback(*taken)
 
     def unmatched(self, scenario: Scenario) -> str:
         """Which endpoint still waits for the suite's other nodes; empty when all are matched."""
@@ -183,6 +197,16 @@ class DataPlane:
         for subscription in self._subscriptions:
             if subscription.get_publisher_count() == 0:
                 return f"{subscription.topic_name} has no publisher"
+        return self.rivals()
+
+    def rivals(self) -> str:
+        """Which subscribed topic has more than the suite's one publisher, and whose; empty if none has."""
+        for name in list(self.sources):
+            if self._node.count_publishers(name) < 2:
+                continue
+            found = self._node.get_publishers_info_by_topic(self._node.resolve_topic_name(name))
+            if len(found) > 1:
+                return f"{name} has {len(found)} publishers: {', '.join(sorted(i.node_name for i in found))}"
         return ""
 
     def has_publisher(self, topic: Topic) -> bool:

@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import math
 import sys
 from collections.abc import Callable
 from typing import Any, cast
@@ -41,7 +42,11 @@ class ObserverNode(SwappableNode):
         self, time_ns: int, values: dict[str, JointSample]
     ) -> list[tuple[Callable[[Any], None], bytes]]:
         """One estimate."""
-        tau_hat = self.stage.step(Measurement(*values[JOINT_STATES.name][1:]))
+        try:
+            tau_hat = self.stage.step(Measurement(*values[JOINT_STATES.name][1:]))
+        except (ArithmeticError, ValueError) as error:  # driven out of its domain: the run has diverged
+            self.get_logger().error(f"tick {time_ns // self.scenario.dt_ns}: {error}")
+            tau_hat = (math.nan,) * self.scenario.robot.joints
         self.announce(time_ns, self.stage.observer, tau_hat)
         return [(self._publish, self.codec.torque.encode(time_ns, tau_hat))]
 

@@ -1,0 +1,49 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Whose messages of a topic count, where one publisher is expected. No ROS."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+
+from ftcm_core.signals import NANOSECONDS
+
+SILENCE_NS = NANOSECONDS
+"""How long a publisher must have been silent before another one's messages count, ns."""
+
+
+class Source:
+    """Keeps to the publisher that came first, told from others by its running numbers.
+
+    A publisher numbers its messages without gaps. A message out of that order is taken where there is no
+    other publisher (messages were lost, or the publisher began anew) or the one kept to has fallen silent.
+    """
+
+    def __init__(self, publishers: Callable[[], int], clock: Callable[[], int] = time.monotonic_ns) -> None:
+        """Heard nobody yet.
+
+        Args:
+            publishers: how many the topic has now.
+            clock: steady clock, ns.
+        """
+        self._publishers = publishers
+        self._clock = clock
+        self._last = -1
+        self._heard = clock() - SILENCE_NS
+        self.refused = 0
+        """Messages of others."""
+
+    def admits(self, number: int | None) -> bool:
+        """Whether a message counts; ``number`` is its publisher's (None: the middleware tells none)."""
+        now = self._clock()
+        if (
+            number == self._last + 1
+            or number is None
+            or now - self._heard >= SILENCE_NS
+            or self._publishers() < 2
+        ):
+            self._last = -1 if number is None else number
+            self._heard = now
+            return True
+        self.refused += 1
+        return False
