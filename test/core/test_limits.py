@@ -7,7 +7,7 @@ import math
 
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from ftcm_core.errors import ScenarioError
@@ -40,6 +40,7 @@ def start_of(overrides: list[str]) -> list[str]:
     return ["initial_state.position=0.6", *overrides] if "lower" in overrides[0] else overrides
 
 
+@settings(deadline=None)
 @given(bounds, bounds, st.lists(vectors, min_size=1, max_size=20))
 def test_the_drive_stays_within_its_limits_and_does_what_it_can(
     torque: Vector | None, step: Vector | None, commands: list[Vector]
@@ -102,6 +103,7 @@ def test_motion_beyond_a_limit_ends_the_run_with_a_status_of_its_own(override: s
     assert f"limit_exceeded at {trace.ticks * 1e-3:g} s" in table
 
 
+@settings(deadline=None)
 @given(bounds, bounds, vectors, vectors)
 def test_a_command_is_beyond_the_limits_if_and_only_if_the_drive_changes_it(
     torque: Vector | None, step: Vector | None, previous: Vector, u: Vector

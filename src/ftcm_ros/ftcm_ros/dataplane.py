@@ -113,7 +113,10 @@ class DataPlane:
     def _callback(self, topic: Topic, handler: Handler) -> Callable[[bytes, Any], None]:
         if len(topic.publishers) > 1:
             return lambda data, info: handler(data, info["source_timestamp"])
-        source = self.sources[topic.name] = Source(lambda: self._node.count_publishers(topic.name))
+        source = self.sources[topic.name] = Source(
+            lambda: self._node.count_publishers(topic.name),
+            lambda: any(name not in topic.publishers for name in self._publishing(topic.name)),
+        )
 
         def callback(data: bytes, info: Any) -> None:
             if source.admits(info["publication_sequence_number"]):
@@ -204,10 +207,15 @@ class DataPlane:
         for name in list(self.sources):
             if self._node.count_publishers(name) < 2:
                 continue
-            found = self._node.get_publishers_info_by_topic(self._node.resolve_topic_name(name))
+            found = self._publishing(name)
             if len(found) > 1:
-                return f"{name} has {len(found)} publishers: {', '.join(sorted(i.node_name for i in found))}"
+                return f"{name} has {len(found)} publishers: {', '.join(found)}"
         return ""
+
+    def _publishing(self, name: str) -> list[str]:
+        """Names of the nodes that publish a topic, in order."""
+        found = self._node.get_publishers_info_by_topic(self._node.resolve_topic_name(name))
+        return sorted(i.node_name for i in found)
 
     def has_publisher(self, topic: Topic) -> bool:
         """Whether anybody publishes a topic that this node subscribes."""

@@ -9,27 +9,36 @@ from collections.abc import Callable
 from ftcm_core.signals import NANOSECONDS
 
 SILENCE_NS = NANOSECONDS
-"""How long a publisher must have been silent before another one's messages count, ns."""
+"""How long a node must have been silent before another one of its name takes over, ns."""
 
 
 class Source:
     """Keeps to the publisher that came first, told from others by its running numbers.
 
     A publisher numbers its messages without gaps. A message out of that order is taken where there is no
-    other publisher (messages were lost, or the publisher began anew) or the one kept to has fallen silent.
+    other publisher: messages were lost, or the publisher began anew. It is taken too when the one kept to has
+    fallen silent and all publishers have the name of the suite's: a killed node that was started again, which
+    the middleware shows beside its predecessor for a while.
     """
 
-    def __init__(self, publishers: Callable[[], int], clock: Callable[[], int] = time.monotonic_ns) -> None:
+    def __init__(
+        self,
+        publishers: Callable[[], int],
+        strangers: Callable[[], bool],
+        clock: Callable[[], int] = time.monotonic_ns,
+    ) -> None:
         """Heard nobody yet.
 
         Args:
             publishers: how many the topic has now.
+            strangers: whether any of them has another name than the suite's.
             clock: steady clock, ns.
         """
         self._publishers = publishers
+        self._strangers = strangers
         self._clock = clock
         self._last = -1
-        self._heard = clock() - SILENCE_NS
+        self._heard = 0
         self.refused = 0
         """Messages of others."""
 
@@ -39,8 +48,9 @@ class Source:
         if (
             number == self._last + 1
             or number is None
-            or now - self._heard >= SILENCE_NS
+            or self._last < 0
             or self._publishers() < 2
+            or (now - self._heard >= SILENCE_NS and not self._strangers())
         ):
             self._last = -1 if number is None else number
             self._heard = now
