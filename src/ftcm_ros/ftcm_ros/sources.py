@@ -10,6 +10,8 @@ from ftcm_core.signals import NANOSECONDS
 
 SILENCE_NS = NANOSECONDS
 """How long a node must have been silent before another one of its name takes over, ns."""
+_NOBODY = 1 << 62
+"""A number that none follows."""
 
 
 class Source:
@@ -19,6 +21,9 @@ class Source:
     other publisher: messages were lost, or the publisher began anew. It is taken too when the one kept to has
     fallen silent and all publishers have the name of the suite's: a killed node that was started again, which
     the middleware shows beside its predecessor for a while.
+
+    Once another publisher has caught up with the numbers of the one kept to, nobody can tell them apart: then
+    none is heard until one is left.
     """
 
     def __init__(
@@ -38,6 +43,8 @@ class Source:
         self._strangers = strangers
         self._clock = clock
         self._last = -1
+        self._others: set[int] = set()
+        """Last number of each other publisher."""
         self._heard = 0
         self.refused = 0
         """Messages of others."""
@@ -45,15 +52,22 @@ class Source:
     def admits(self, number: int | None) -> bool:
         """Whether a message counts; ``number`` is its publisher's (None: the middleware tells none)."""
         now = self._clock()
-        if (
-            number == self._last + 1
-            or number is None
-            or self._last < 0
-            or self._publishers() < 2
-            or (now - self._heard >= SILENCE_NS and not self._strangers())
-        ):
-            self._last = -1 if number is None else number
-            self._heard = now
-            return True
-        self.refused += 1
-        return False
+        next_one = number == self._last + 1
+        if not (next_one and not self._others):
+            if (
+                number is None
+                or self._last < 0
+                or self._publishers() < 2
+                or (now - self._heard >= SILENCE_NS and not self._strangers())
+            ):
+                self._others.clear()
+            elif not next_one or self._last in self._others:
+                self._others.discard(number - 1)
+                self._others.add(number)
+                self.refused += 1
+                if next_one:
+                    self._last = _NOBODY
+                return False
+        self._last = -1 if number is None else number
+        self._heard = now
+        return True
