@@ -54,6 +54,7 @@ def test_the_drive_stays_within_its_limits_and_does_what_it_can(
             change = step[j] if step else math.inf
             wanted = max(-most, min(most, u[j]))
             assert abs(applied[j]) <= most
+            assert abs(applied[j] - before[j]) <= change + 1e-9 * abs(before[j])
             if abs(wanted - before[j]) < 0.999 * change:
                 assert applied[j] == wanted
             else:

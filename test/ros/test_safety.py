@@ -91,6 +91,7 @@ def test_a_node_started_again_takes_over_when_its_predecessor_has_fallen_silent(
 
 def test_without_numbers_everything_counts() -> None:
     line = Line()
+    assert line.send(5)
     line.publishers = 2
     assert all(line.send(None) for _ in range(3))
 
