@@ -99,6 +99,9 @@ def test_motion_beyond_a_limit_ends_the_run_with_a_status_of_its_own(override: s
     joint = int(trace.detail.split("joint")[1][0]) - 1
     assert f"{getattr(free, what)[trace.ticks, joint]:g} rad" in trace.detail
     assert 10 < trace.ticks < 2000
+    limit = float(trace.detail.split("limit of ")[1].split()[0])
+    column = getattr(trace, what)[:, joint]
+    assert column.min() >= limit if "below" in trace.detail else np.abs(column).max() <= limit
     assert all(np.array_equal(getattr(trace, c), getattr(free, c)[: trace.ticks]) for c in COLUMNS)
     table = comparison_table([result(trace)])
     assert f"limit_exceeded at {trace.ticks * 1e-3:g} s" in table
