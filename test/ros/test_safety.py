@@ -289,6 +289,10 @@ def test_strangers_neither_answer_nor_reset_and_are_named(
     node = rclpy.create_node("stranger", context=watcher.context)
     topics = ("joint_states", "disturbance_estimate", "joint_torques", "disturbance", "reference")
     publishers = [node.create_publisher(JointState, name, 10) for name in topics]
+    readers = (5, 2, 3, 2, 1)  # of the suite, and the watcher
+    watcher.spin_until(
+        lambda: all(p.get_subscription_count() >= n for p, n in zip(publishers, readers)), "the readers"
+    )
     sent = 0
     while process.poll() is None and sent < most:
         watcher.executor.spin_once(timeout_sec=0.02)
@@ -297,6 +301,7 @@ def test_strangers_neither_answer_nor_reset_and_are_named(
             for publisher in publishers:
                 publisher.publish(stamped(t, position=[1.0] * 3, velocity=[1.0] * 3, effort=[50.0] * 3))
             sent += 1
+        time.sleep(0.01)
     _, err = process.communicate(timeout=60)
     node.destroy_node()
     assert process.returncode == 0, err
