@@ -20,7 +20,14 @@ from ftcm_core.trace import COLUMNS
 
 VARIANTS = {
     "paper": (),
-    "limits and delay": ("torque_limits=[97.6, 186.4, 60]", "torque_delay=2"),
+    "limits and delay": (
+        "torque_limits=[97.6, 186.4, 60]",
+        "torque_rate_limits=4000",
+        "torque_delay=2",
+        "velocity_limits=9",
+        "position_lower_limits=-1",
+        "position_upper_limits=1",
+    ),
     "incipient fault": ("injection.faults.0.profile=incipient", "injection.faults.0.start=0.01"),
     "per joint": ("observer.k1=[10000, 20000, 15000]", "reference.type=sine"),
     "other reference": ("reference.type=quintic", "injection.disturbances=[]"),
@@ -84,10 +91,11 @@ def test_written_tick_of_the_implicit_form():
     assert state == list(compiled.flat(other))
 
 
-def test_a_tick_that_diverges_is_left_to_plain_python():
-    scenario, loop = started()
+@pytest.mark.parametrize("overrides", [(), VARIANTS["limits and delay"]])
+def test_a_tick_that_ends_the_run_is_left_to_plain_python(overrides):
+    scenario, loop = started(*overrides)
     ticks, parameters = as_plain_python(loop)
-    loop.plant.velocity = (5000.0, 0.0, 0.0)
+    loop.plant.velocity = (20.0 if overrides else 5000.0, 0.0, 0.0)
     loop.plant._sense()
     state = list(compiled.flat(loop))
     before = list(state)

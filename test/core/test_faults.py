@@ -11,6 +11,7 @@ import pytest
 from ftcm_core.faults import time_profile
 from ftcm_core.faults.vo_kang_fault import VoKangFault
 from ftcm_core.faults.vo_kang_friction import VoKangFriction
+from ftcm_core.limits import Limits
 from ftcm_core.scenario import load
 from ftcm_core.signals import TrueDisturbance, Vector
 from ftcm_core.simulation import simulate
@@ -87,7 +88,9 @@ def test_injector_adds_all_sources_for_the_torque_the_drive_applies() -> None:
     """A fault that takes a share of the torque takes it of the limited one."""
     t_ns, q, v, u = 14_137_166_941, (0.3, -0.4, 0.7), (0.5, -0.6, 0.8), (1.0, 1000.0, 2.0)
     sources = (VoKangFriction(), VoKangFault(), VoKangFault(severity=2.0))
-    free, limited = (InjectorStage(sources, 3, x).step(t_ns, q, v, u) for x in (None, (50.0, 50.0, 50.0)))
+    free, limited = (
+        InjectorStage(sources, 3, Limits(x)).step(t_ns, q, v, u) for x in (None, (50.0, 50.0, 50.0))
+    )
     share = 3 * 0.3 * math.sin(t_ns / 1e9)
     assert isinstance(free, TrueDisturbance)
     assert free.torque[1] - limited.torque[1] == pytest.approx(share * 950.0, rel=1e-13)

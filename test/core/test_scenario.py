@@ -13,6 +13,7 @@ import yaml
 from ftcm_core.controllers.ftcm import FTCM
 from ftcm_core.controllers.smc import SMC
 from ftcm_core.errors import ScenarioError
+from ftcm_core.limits import Limits
 from ftcm_core.params import specs
 from ftcm_core.registry import Component
 from ftcm_core.scenario import (
@@ -76,7 +77,7 @@ def test_file_is_read_with_defaults(tmp_path: Path) -> None:
     assert (scenario.name, scenario.dt, scenario.duration, scenario.seed) == ("mine", 0.001, 1.0, 0)
     assert scenario.controller == FTCM()
     assert scenario.observer.values == {"k1": 20000.0, "k2": 200.0}
-    assert (scenario.limits, scenario.first_fault, scenario.transient) == (None, 10.0, 1.0)
+    assert (scenario.limits, scenario.first_fault, scenario.transient) == (Limits(), 10.0, 1.0)
     assert (scenario.dt_ns, scenario.last_tick) == (1_000_000, 1000)
 
 

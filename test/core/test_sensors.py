@@ -8,6 +8,7 @@ import math
 import numpy as np
 import pytest
 
+from ftcm_core.limits import Limits
 from ftcm_core.metrics import evaluate
 from ftcm_core.robots.puma560 import Puma560
 from ftcm_core.scenario import from_mapping, load
@@ -194,7 +195,7 @@ def test_faults_see_the_torque_that_acts() -> None:
             seen.append(u)
             return ZERO
 
-    injector = InjectorStage([Spy()], 3, (1.5,) * 3, torque_delay=1)  # type: ignore[list-item]
+    injector = InjectorStage([Spy()], 3, Limits(torque=(1.5,) * 3), torque_delay=1)  # type: ignore[list-item]
     for n in (1.0, 2.0, 3.0):
         injector.step(0, Q, V, (n,) * 3)
     assert seen == [ZERO, (1.0,) * 3, (1.5,) * 3]

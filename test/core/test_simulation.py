@@ -85,7 +85,7 @@ def test_tick_contract() -> None:
         assert reference[:2] == (row["reference_position"], row["reference_velocity"])
         assert injector.step(k * 1_000_000, *y[:2], u).torque == row["disturbance"]
         if k < 300:
-            applied = saturate(u, scenario.limits)
+            applied = saturate(u, scenario.limits.torque)
             tau = tuple(map(float.__add__, applied, row["disturbance"]))
             assert rows[k + 1]["effort"] == applied
             assert rk4(ROBOT, DT, *y[:2], tau) == (rows[k + 1]["position"], rows[k + 1]["velocity"])

@@ -134,13 +134,14 @@ def test_real_time_counts_every_miss_and_holds_the_torque(experiment: Experiment
     assert summary["timing_us"]["ftcm"]["chain"]["p50"] > 0
     # The effort reported at tick k+1 is the command of tick k, or one that was held.
     commands = trace.command.tolist()
-    held = 0
+    held = braked = 0
     for k, applied in enumerate(trace.effort[1:].tolist()):
         if applied != commands[k]:
             held += 1
-            assert applied == [0.0, 0.0, 0.0] or applied in commands[:k]
+            braked += applied != [0.0, 0.0, 0.0] and applied not in commands[:k]
     misses = {cause: int(plant[cause]) for cause in ("late_torque", "late_disturbance", "plant_overrun")}
     assert held <= misses["late_torque"], misses
+    assert braked <= int(plant["safe_stop_ticks"])
     assert int(plant["missed_deadlines"]) == sum(misses.values())
     if not any(misses.values()):
         assert differing(trace, simulate(load("paper", ["duration=3"]))) == []

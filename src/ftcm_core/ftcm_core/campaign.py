@@ -30,6 +30,7 @@ from ftcm_core.report.results import to_json
 from ftcm_core.scenario import Scenario, apply_override, from_mapping, read_mapping
 from ftcm_core.simulation import simulate
 from ftcm_core.streams import gaussian, stream_key, uniform
+from ftcm_core.trace import ENDED_EARLY
 
 MAX_RUNS = 1_000_000
 ENGINES = ("auto", "compiled", "plain")
@@ -419,7 +420,7 @@ class _Statistics:
         return {
             "runs": count,
             "completed": self.states.get("completed", 0) / count,
-            "diverged": self.states.get("diverged", 0) / count,
+            **{status: self.states.get(status, 0) / count for status in ENDED_EARLY},
             "engines": self.engines,
             "metrics": metrics,
         }
@@ -429,9 +430,12 @@ def table(summary: Mapping[str, Any]) -> str:
     """Return the table of a summary, in Markdown: median [5 %, 95 %] over the completed runs."""
     lines = []
     for name, found in summary["results"].items():
+        exceeded = (
+            f", {100 * found['limit_exceeded']:.4g} % limit_exceeded" if found["limit_exceeded"] else ""
+        )
         lines += [
             f"{name}: {found['runs']} runs, {100 * found['completed']:.4g} % completed, "
-            f"{100 * found['diverged']:.4g} % diverged; median [5 %, 95 %] of the completed:",
+            f"{100 * found['diverged']:.4g} % diverged{exceeded}; median [5 %, 95 %] of the completed:",
             "",
         ]
         for engine, count in found["engines"].items():

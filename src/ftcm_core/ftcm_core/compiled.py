@@ -122,7 +122,7 @@ def simulate(scenario: Scenario) -> CompiledTrace:
     rows = np.empty((last + 1, columns * scenario.robot.joints))
     program, parameters, reason = None, None, ""
     compiled = handed_back = k = 0
-    diverged = ""
+    detail = ""
     while True:
         if 0 < k < last and not reason:
             try:
@@ -145,11 +145,11 @@ def simulate(scenario: Scenario) -> CompiledTrace:
         def record(row: Any, k: int = k) -> None:
             rows[k] = row
 
-        diverged = loop.tick(k * dt_ns, k == last, record)
-        if diverged or k == last:
+        detail = loop.tick(k * dt_ns, k == last, record)
+        if detail or k == last:
             break
         k += 1
-    trace = to_trace(scenario, rows[: k + 1].ravel(), diverged, kind=CompiledTrace)
+    trace = to_trace(scenario, rows[: k + 1].ravel(), loop.status(detail), detail, kind=CompiledTrace)
     assert isinstance(trace, CompiledTrace)
     if program is not None and parameters is not None:
         trace.__dict__.update(_acceleration=program.accelerations, _parameters=parameters)

@@ -116,7 +116,7 @@ def torque_high_frequency_rms(trace: Trace, rows: slice) -> Array:
 
 def saturation_share(trace: Trace, rows: slice) -> Array:
     """Share of ticks at which the command is at or beyond the torque limit; 0 without limits."""
-    limits = trace.scenario.limits if trace.scenario else None
+    limits = trace.scenario.limits.torque if trace.scenario else None
     if limits is None:
         return np.zeros(trace.command.shape[1])
     u = np.abs(trace.command[rows])

@@ -20,6 +20,7 @@ import yaml
 from ftcm_core.controllers import Controller
 from ftcm_core.errors import FtcmError, ParameterError, ScenarioError, shown, suggestion
 from ftcm_core.faults import Disturbance, Fault
+from ftcm_core.limits import Limits, motion_beyond
 from ftcm_core.observers import Observer
 from ftcm_core.params import Parameterised, param, per_joint, specs
 from ftcm_core.references import Reference
@@ -73,6 +74,27 @@ class Scenario(Parameterised):
         None, unit="N·m", above=0.0, per_joint=True, optional=True, kind="float",
         doc="largest torque of each drive; null: no limit", source="sec. IV: none",
     )  # fmt: skip
+    torque_rate_limits: float | None = param(
+        None, unit="N·m/s", above=0.0, per_joint=True, optional=True, kind="float",
+        doc="fastest change of each drive's torque; null: no limit", source="sec. IV: none",
+    )  # fmt: skip
+    velocity_limits: float | None = param(
+        None, unit="rad/s", above=0.0, per_joint=True, optional=True, kind="float",
+        doc="speed beyond which the run ends; null: no limit", source="sec. IV: none",
+    )  # fmt: skip
+    position_lower_limits: float | None = param(
+        None, unit="rad", per_joint=True, optional=True, kind="float",
+        doc="position below which the run ends; null: no limit", source="sec. IV: none",
+    )  # fmt: skip
+    position_upper_limits: float | None = param(
+        None, unit="rad", per_joint=True, optional=True, kind="float",
+        doc="position above which the run ends; null: no limit", source="sec. IV: none",
+    )  # fmt: skip
+    stop_damping: float = param(
+        100.0, unit="N·m·s/rad", at_least=0.0, per_joint=True,
+        doc="damping of the drives in a safe stop, which the plant node makes when no torque comes",
+        source="chosen: the PUMA 560 sinks at under 0.4 rad/s; stable for ticks of up to 20 ms",
+    )  # fmt: skip
     torque_delay: int = param(
         0, unit="ticks", at_least=0, at_most=1000,
         doc="the drive applies the command of so many ticks before; zero torque until the first arrives",
@@ -122,6 +144,17 @@ class Scenario(Parameterised):
                 raise ParameterError(f"{place}.{error}") from None
             if needs:
                 raise ParameterError(f"{place}: {needs}; robot {self.robot.type_name!r} has {joints}")
+        limits, start = self.limits, self.initial_state
+        if limits.lower is not None and limits.upper is not None:
+            for low, high in zip(limits.lower, limits.upper):
+                if low >= high:
+                    raise ParameterError(
+                        f"position_lower_limits: {low:g} is not below position_upper_limits {high:g}"
+                    )
+        position, velocity = per_joint(start.position, joints), per_joint(start.velocity, joints)
+        beyond = motion_beyond(limits, self.robot.joint_names, position, velocity)
+        if beyond:
+            raise ParameterError(f"initial_state: {beyond}; expected a start within the limits")
 
     def parts(self) -> list[tuple[str, Parameterised]]:
         """Return the parameter records inside this scenario with their paths."""
@@ -147,9 +180,21 @@ class Scenario(Parameterised):
         return round(self.duration / self.dt)
 
     @property
-    def limits(self) -> Vector | None:
-        """Torque limits, one per joint, N·m."""
-        return None if self.torque_limits is None else per_joint(self.torque_limits, self.robot.joints)
+    def limits(self) -> Limits:
+        """What drives and joints allow."""
+
+        def each(value: float | None, factor: float = 1.0) -> Vector | None:
+            if value is None:
+                return None
+            return tuple([x * factor for x in per_joint(value, self.robot.joints)])
+
+        return Limits(
+            torque=each(self.torque_limits),
+            torque_step=each(self.torque_rate_limits, self.dt),
+            velocity=each(self.velocity_limits),
+            lower=each(self.position_lower_limits),
+            upper=each(self.position_upper_limits),
+        )
 
     @property
     def first_fault(self) -> float | None:
@@ -169,6 +214,7 @@ class Scenario(Parameterised):
             self.sensor,
             self.seed,
             self.torque_delay,
+            per_joint(self.stop_damping, n),
         )
 
     def observer_stage(self) -> ObserverStage:

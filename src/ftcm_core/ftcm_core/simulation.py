@@ -63,7 +63,7 @@ class Loop:
             record: takes the tick's row.
 
         Returns:
-            Why the run counts as diverged, with the time; empty while it does not.
+            Why the run cannot go on, with the time; empty while it can.
         """
         try:
             row, u, d = self.act(time_ns)
@@ -73,10 +73,16 @@ class Loop:
             self.plant.step(u, d)
         except (ArithmeticError, ValueError) as error:  # a law out of its domain: overflow, log(0), ...
             return f"at t = {seconds(time_ns):g} s: {error}"
-        if self.plant.diverged:
+        if self.plant.reason:
             after = seconds(time_ns + round(self.plant.dt * NANOSECONDS))
-            return f"at t = {after:g} s: {self.plant.diverged}"
+            return f"at t = {after:g} s: {self.plant.reason}"
         return ""
+
+    def status(self, detail: str) -> str:
+        """Status of a run that ended with what :meth:`tick` returned last."""
+        if not detail:
+            return "completed"
+        return self.plant.status if self.plant.reason else "diverged"
 
 
 def simulate(
@@ -92,7 +98,7 @@ def simulate(
         progress: called about every 1000 ticks with the ticks done and the last tick.
 
     Returns:
-        The trace; a run that diverges ends there, with its status and the time.
+        The trace; a run that diverges or exceeds a limit ends there, with its status and the time.
     """
     loop = Loop(scenario)
     swaps: dict[int, list[Change]] = {}
@@ -101,23 +107,24 @@ def simulate(
     dt_ns, last = scenario.dt_ns, scenario.last_tick
     rows = array("d")
     tick, record = loop.tick, rows.extend
-    diverged = ""
+    detail = ""
     for k in range(last + 1):
         if k in swaps:
             for change in swaps[k]:
                 (loop.controller if change.kind == "controller" else loop.observer).swap(change.component)
-        diverged = tick(k * dt_ns, k == last, record)
-        if diverged:
+        detail = tick(k * dt_ns, k == last, record)
+        if detail:
             break
         if progress and k % 1000 == 0:
             progress(k, last)
-    return to_trace(scenario, np.frombuffer(rows, dtype=np.float64), diverged, changes)
+    return to_trace(scenario, np.frombuffer(rows, dtype=np.float64), loop.status(detail), detail, changes)
 
 
 def to_trace(
     scenario: Scenario,
     rows: Array,
-    diverged: str,
+    status: str,
+    detail: str,
     changes: Sequence[Change] = (),
     kind: type[Trace] = Trace,
 ) -> Trace:
@@ -126,7 +133,8 @@ def to_trace(
     Args:
         scenario: what ran.
         rows: the rows of all ticks, one after the other.
-        diverged: why the run ended early; empty if it did not.
+        status: how the run ended.
+        detail: why it ended early; empty if it did not.
         changes: what was swapped in.
         kind: class of the trace.
     """
@@ -139,7 +147,7 @@ def to_trace(
         time_ns=np.arange(len(table), dtype=np.int64) * scenario.dt_ns,
         **columns,
         scenario=scenario,
-        status="diverged" if diverged else "completed",
-        detail=diverged,
+        status=status,
+        detail=detail,
         changes=tuple(changes),
     )

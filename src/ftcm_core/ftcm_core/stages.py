@@ -14,12 +14,13 @@ from typing import Any
 
 from ftcm_core.controllers import Controller
 from ftcm_core.faults import Disturbance
+from ftcm_core.limits import Limits, drive_torque, motion_beyond
 from ftcm_core.observers import Observer
 from ftcm_core.references import Reference
 from ftcm_core.robots import Robot
 from ftcm_core.sensors import Sensor
 from ftcm_core.sensors.ideal import Ideal
-from ftcm_core.signals import Measurement, ReferencePoint, State, TrueDisturbance, Vector, saturate, seconds
+from ftcm_core.signals import Measurement, ReferencePoint, State, TrueDisturbance, Vector, seconds
 
 SPEED_LIMIT = 1000.0
 """Joint speed beyond which a run counts as diverged, rad/s (chosen: far above any robot joint)."""
@@ -29,6 +30,7 @@ class PlantStage:
     """The robot: measures, then integrates one tick with torque and disturbance held (RK4).
 
     ``position`` and ``velocity`` are the true motion; :meth:`measure` is what the sensor makes of it.
+    ``effort`` is the torque the drives applied over the tick that has just ended.
     """
 
     def __init__(
@@ -37,10 +39,11 @@ class PlantStage:
         dt: float,
         position: Vector,
         velocity: Vector,
-        torque_limits: Vector | None,
+        limits: Limits | None = None,
         sensor: Sensor | None = None,
         seed: int = 0,
         torque_delay: int = 0,
+        stop_damping: Vector | None = None,
     ) -> None:
         """Start at the given position (rad) and velocity (rad/s).
 
@@ -49,14 +52,15 @@ class PlantStage:
             dt: tick length, s.
             position: rad.
             velocity: rad/s.
-            torque_limits: largest torque per joint, N·m; None: no limit.
+            limits: of drives and joints; None: none.
             sensor: the sensor model; None: ideal.
             seed: the scenario's seed, for the sensor's noise.
             torque_delay: the drive applies the command of that many ticks before.
+            stop_damping: of the safe stop, N·m·s/rad per joint; None: zero torque.
         """
         self.robot = robot
         self.dt = dt
-        self.torque_limits = torque_limits
+        self.limits = limits or Limits()
         self.position = position
         self.velocity = velocity
         self.effort: Vector = (0.0,) * robot.joints
@@ -64,8 +68,11 @@ class PlantStage:
         self._sensor_state = self.sensor.init(robot.joints, seed)
         self._delay = DelayLine(torque_delay, robot.joints)
         self._sense()
-        self.diverged = ""
-        """Why the run counts as diverged; empty while it does not."""
+        self.stop_damping = stop_damping or (0.0,) * robot.joints
+        self.status = "running"
+        """``diverged`` or ``limit_exceeded`` once the run cannot go on."""
+        self.reason = ""
+        """Why it cannot; empty while it can."""
 
     def measure(self) -> Measurement:
         """y_k: measured motion and the torque applied over the tick that has just ended.
@@ -83,18 +90,40 @@ class PlantStage:
     def step(self, u: Vector, d: TrueDisturbance) -> None:
         """Integrate from t_k to t_{k+1} with the command u_k and the disturbance d_k (N·m) held.
 
-        Sets ``diverged`` when the torque is not finite or a joint is faster than any can be.
+        Sets ``status`` and ``reason`` when the torque is not finite, a joint is faster than any can be, or
+        beyond its limits; the plant is not stepped further then.
         """
-        self.effort = saturate(self._delay.step(u), self.torque_limits)
+        self._step(u, self._delay.step(u), d)
+
+    def safe_stop(self, d: TrueDisturbance) -> None:
+        """Integrate one tick with the drives braking: torque -stop_damping·velocity, within their limits."""
+        u = tuple([-c * v for c, v in zip(self.stop_damping, self.velocity)])
+        self._delay.step(u)  # in place of a command, so that none from before comes out afterwards
+        self._step(u, u, d)
+
+    def _step(self, u: Vector, wanted: Vector, d: TrueDisturbance) -> None:
+        self.effort = drive_torque(self.limits, self.effort, wanted)
         tau = tuple(map(add, self.effort, d.torque))
         if not math.isfinite(sum(u) + sum(tau)):
-            self.diverged = f"torque is not finite: command {list(u)} N·m, disturbance {list(d.torque)} N·m"
+            self._end(
+                "diverged",
+                f"torque is not finite: command {list(u)} N·m, disturbance {list(d.torque)} N·m",
+            )
             return
         self.position, self.velocity = rk4(self.robot, self.dt, self.position, self.velocity, tau)
         if not all(-SPEED_LIMIT < v < SPEED_LIMIT for v in self.velocity):
-            self.diverged = f"joint velocity {list(self.velocity)} rad/s is beyond {SPEED_LIMIT:g} rad/s"
+            self._end(
+                "diverged", f"joint velocity {list(self.velocity)} rad/s is beyond {SPEED_LIMIT:g} rad/s"
+            )
+            return
+        beyond = motion_beyond(self.limits, self.robot.joint_names, self.position, self.velocity)
+        if beyond:
+            self._end("limit_exceeded", beyond)
             return
         self._sense()
+
+    def _end(self, status: str, reason: str) -> None:
+        self.status, self.reason = status, reason
 
 
 class DelayLine:
@@ -206,20 +235,21 @@ class InjectorStage:
         self,
         sources: Sequence[Disturbance],
         joints: int,
-        torque_limits: Vector | None,
+        limits: Limits | None = None,
         torque_delay: int = 0,
     ) -> None:
         """Sum the torques of all sources; they see the torque the drive applies, after delay and limits."""
         self.sources = tuple(sources)
         self.joints = joints
-        self.torque_limits = torque_limits
+        self.limits = limits or Limits()
+        self.applied: Vector = (0.0,) * joints
         self._delay = DelayLine(torque_delay, joints)
 
     def step(self, time_ns: int, position: Vector, velocity: Vector, u: Vector) -> TrueDisturbance:
         """d_k (N·m) at t_k (integer ns) for the true state and the command u_k; once per tick."""
         t = seconds(time_ns)
-        applied = saturate(self._delay.step(u), self.torque_limits)
+        self.applied = drive_torque(self.limits, self.applied, self._delay.step(u))
         total: Vector = (0.0,) * self.joints
         for source in self.sources:
-            total = tuple(map(add, total, source.torque(t, position, velocity, applied)))
+            total = tuple(map(add, total, source.torque(t, position, velocity, self.applied)))
         return TrueDisturbance(total)

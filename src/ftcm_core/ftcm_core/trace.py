@@ -34,6 +34,9 @@ COLUMNS = {
 MEASURED = {"measured_position": "rad", "measured_velocity": "rad/s"}
 """Further columns of a run whose sensor is not ideal: what observer and controller were given."""
 
+ENDED_EARLY = ("diverged", "limit_exceeded")
+"""Statuses of a run that the plant could not go on with."""
+
 
 @dataclasses.dataclass(frozen=True)
 class Change:
@@ -72,7 +75,7 @@ class Trace:
     measured_velocity: Array | None = None
     scenario: Scenario | None = None
     status: str = "completed"
-    """``completed``, ``diverged``, or ``incomplete`` (ended before its duration)."""
+    """``completed``, ``diverged``, ``limit_exceeded``, or ``incomplete`` (ended before its duration)."""
     detail: str = ""
     """Why a run did not complete, with the time."""
     changes: tuple[Change, ...] = ()

@@ -19,6 +19,8 @@ class Aligner:
         self.pending_limit = pending_limit
         self.stale = 0
         """Required inputs that came for a tick already past."""
+        self.repeated = 0
+        """Inputs that came again for a tick not complete yet: the first counts."""
         self.dropped = 0
         """Ticks given up unfinished, because a later one completed or too many were pending."""
         self.reset()
@@ -44,6 +46,9 @@ class Aligner:
             self.stale += name in self.required
             return None
         values = self._pending.setdefault(time_ns, {})
+        if name in values:
+            self.repeated += 1
+            return None
         values[name] = value
         for needed in self.required:
             if needed not in values:

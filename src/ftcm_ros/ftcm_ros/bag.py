@@ -19,7 +19,7 @@ from ftcm_core.errors import FtcmError
 from ftcm_core.registry import find
 from ftcm_core.scenario import Scenario, from_mapping, parse_yaml
 from ftcm_core.signals import NANOSECONDS
-from ftcm_core.trace import COLUMNS, Change, Trace
+from ftcm_core.trace import COLUMNS, ENDED_EARLY, Change, Trace
 from ftcm_ros.codec import CodecError, JointStateCodec, read_joint_state
 from ftcm_ros.recovery import Message, scan
 from ftcm_ros.topics import (
@@ -247,7 +247,8 @@ def _column(
         times, arrays = decoded[topic]
         values = arrays[index]
         if values is not None:
-            out[np.searchsorted(stamps, times)] = values
+            once, first = np.unique(times, return_index=True)  # as in the nodes, the first of a tick counts
+            out[np.searchsorted(stamps, once)] = values[first]
     return out
 
 
@@ -285,8 +286,8 @@ def _initial_components(
 
 
 def _status(scenario: Scenario | None, plant: dict[str, str], last_ns: int, dt_ns: int) -> tuple[str, str]:
-    if plant.get("state") == "diverged":
-        return "diverged", plant.get("detail", "")
+    if plant.get("state") in ENDED_EARLY:
+        return plant["state"], plant.get("detail", "")
     if scenario is not None and last_ns // dt_ns >= scenario.last_tick:
         return "completed", ""
     return "incomplete", f"ends at t = {last_ns / 1e9:g} s" + (

@@ -145,6 +145,8 @@ class JointStateCodec:
         self.torque = Layout(joint_names, (False, False, True))
         """joint_torques, disturbance, disturbance_estimate: effort."""
         self._by_size = {layout.size: layout for layout in (self.state, self.motion, self.torque)}
+        self.sizes = frozenset(self._by_size)
+        """Bytes of the suite's own messages."""
 
     def decode(self, data: bytes) -> JointSample:
         """Decode any JointState that names all joints of this robot.
@@ -164,6 +166,8 @@ class JointStateCodec:
         missing = [name for name in self.joint_names if name not in names]
         if missing:
             raise CodecError(f"joints {missing} are missing; the message names {names}")
+        if len(set(names)) < len(names):
+            raise CodecError(f"a joint is named twice: {names}")
         order = [names.index(name) for name in self.joint_names]
 
         def pick(array: Vector, what: str) -> Vector:

@@ -34,6 +34,7 @@ from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
 from rclpy.subscription import Subscription
 
 from ftcm_core.scenario import Scenario
+from ftcm_ros.sources import Source
 from ftcm_ros.topics import DEPTH, Topic, subscribers
 
 Handler = Callable[[bytes, int], None]
@@ -108,8 +109,10 @@ class DataPlane:
         self._group = MutuallyExclusiveCallbackGroup() if path == "executor" else _NoExecutor()
         self._wanted: list[tuple[Topic, Handler]] = []
         self._subscriptions: list[Subscription] = []
-        self._taken: list[tuple[Topic, Any, Any, Handler]] = []
-        """Topic, rclpy handle, message class and handler of each subscription, in order of declaration."""
+        self._taken: list[tuple[Topic, Any, Any, Callable[[bytes, Any], None]]] = []
+        """Topic, rclpy handle, message class and callback of each subscription, in order of declaration."""
+        self.sources: dict[str, Source] = {}
+        """Whose messages count, of each subscribed topic that has one publisher in the suite."""
         self._publishers: list[tuple[Topic, Publisher]] = []
         self._wait_set: Any = None
         self._callbacks: list[Any] = []
@@ -122,7 +125,10 @@ class DataPlane:
         self._thread: threading.Thread | None = None
 
     def subscribe(self, topic: Topic, handler: Handler) -> None:
-        """Hand every message of a topic to a handler, serialized, on the main thread, once opened."""
+        """Hand every message of a topic to a handler, serialized, on the main thread, once opened.
+
+        Of a topic that has one publisher in the suite, messages of others are dropped and counted.
+        """
         self._wanted.append((topic, handler))
 
     def open(self) -> None:
@@ -133,15 +139,12 @@ class DataPlane:
         """
         for topic, handler in self._wanted:
             cls = message_class(topic.type)
-
-            def callback(data: bytes, info: Any, handler: Handler = handler) -> None:
-                handler(data, info["source_timestamp"])
-
+            callback = self._callback(topic, handler)
             made = self._node.create_subscription(
                 cls, topic.name, callback, qos(topic), callback_group=self._group, raw=True
             )
             self._subscriptions.append(made)
-            self._taken.append((topic, made.handle, cls, handler))
+            self._taken.append((topic, made.handle, cls, callback))
         if self._wanted and self._path == "listener" and not self._listen():
             self._node.get_logger().warning("data_path listener is not possible here; waitset is used")
             self._path = "waitset"
@@ -150,12 +153,26 @@ class DataPlane:
             self._wait_set = _rclpy.WaitSet(count, 0, 0, 0, 0, 0, self._node.context.handle)
         self._wanted = []
 
+    def _callback(self, topic: Topic, handler: Handler) -> Callable[[bytes, Any], None]:
+        if len(topic.publishers) > 1:
+            return lambda data, info: handler(data, info["source_timestamp"])
+        source = self.sources[topic.name] = Source(
+            lambda: self._node.count_publishers(topic.name),
+            lambda: any(name not in topic.publishers for name in self._publishing(topic.name)),
+        )
+
+        def callback(data: bytes, info: Any) -> None:
+            if source.admits(info["publication_sequence_number"]):
+                handler(data, info["source_timestamp"])
+
+        return callback
+
     def _listen(self) -> bool:
         """Have every message handled by the thread that receives it."""
-        for _, handle, cls, handler in self._taken:
+        for _, handle, cls, callback in self._taken:
 
             def receive(
-                _: Any, count: int, handle: Any = handle, cls: Any = cls, handler: Any = handler
+                _: Any, count: int, handle: Any = handle, cls: Any = cls, callback: Any = callback
             ) -> None:
                 if not hasattr(self._thread_state, "kept"):  # else Python makes and drops one each time
                     ctypes.pythonapi.PyGILState_Ensure()
@@ -163,7 +180,7 @@ class DataPlane:
                 with self.turn:
                     try:
                         while (taken := handle.take_message(cls, True)) is not None:
-                            handler(taken[0], taken[1]["source_timestamp"])
+                            callback(*taken)
                     except Exception as error:
                         self._failure = error
                         self.turn.notify()
@@ -244,10 +261,10 @@ class DataPlane:
             if trigger is None or topic is trigger:
                 wait_set.add_subscription(handle)
         wait_set.wait(timeout_ns)
-        for _, handle, cls, handler in self._taken:
+        for _, handle, cls, callback in self._taken:
             taken = handle.take_message(cls, True)
             if taken is not None:
-                handler(taken[0], taken[1]["source_timestamp"])
+                callback(*taken)
 
     def _raise_failure(self) -> None:
         if self._failure is not None:
@@ -266,9 +283,9 @@ class DataPlane:
             self._spin(seconds)
             return
         time.sleep(seconds)
-        for _, handle, cls, handler in self._taken:
+        for _, handle, cls, callback in self._taken:
             while (taken := handle.take_message(cls, True)) is not None:
-                handler(taken[0], taken[1]["source_timestamp"])
+                callback(*taken)
 
     def unmatched(self, scenario: Scenario) -> str:
         """Which endpoint still waits for the suite's other nodes; empty when all are matched."""
@@ -279,7 +296,22 @@ class DataPlane:
         for subscription in self._subscriptions:
             if subscription.get_publisher_count() == 0:
                 return f"{subscription.topic_name} has no publisher"
+        return self.rivals()
+
+    def rivals(self) -> str:
+        """Which subscribed topic has more than the suite's one publisher, and whose; empty if none has."""
+        for name in list(self.sources):
+            if self._node.count_publishers(name) < 2:
+                continue
+            found = self._publishing(name)
+            if len(found) > 1:
+                return f"{name} has {len(found)} publishers: {', '.join(found)}"
         return ""
+
+    def _publishing(self, name: str) -> list[str]:
+        """Names of the nodes that publish a topic, in order."""
+        found = self._node.get_publishers_info_by_topic(self._node.resolve_topic_name(name))
+        return sorted(i.node_name for i in found)
 
     def has_publisher(self, topic: Topic) -> bool:
         """Whether anybody publishes a topic that this node subscribes."""

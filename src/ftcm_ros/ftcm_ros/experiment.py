@@ -27,6 +27,7 @@ from diagnostic_msgs.msg import DiagnosticArray
 from ftcm_core.errors import FtcmError
 from ftcm_core.report.results import write_results
 from ftcm_core.scenario import Scenario, load
+from ftcm_core.trace import ENDED_EARLY
 from ftcm_ros.bag import BagContents, read_bag
 from ftcm_ros.domain import Domain
 from ftcm_ros.graph import join_as
@@ -200,7 +201,7 @@ class Run:
             rate = float(plant.get("rate_hz", 0.0)) or rate
             state = plant.get("state", "running")
             missed = int(plant.get("missed_deadlines", 0))
-            if state in ("completed", "diverged"):
+            if state in ("completed", *ENDED_EARLY):
                 elapsed = float(plant["elapsed_seconds"])
                 self.timing["ticks_per_second"] = round(tick / elapsed, 1)
                 progress.show(tick, tick / elapsed, missed, final=True)

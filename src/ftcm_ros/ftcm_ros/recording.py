@@ -40,6 +40,10 @@ class TopicCount:
         """Ticks skipped between recorded ones, and before the first."""
         self.repeated = 0
         """Messages for a tick that was recorded before."""
+        self.published = 0
+        """When the newest message was published, as recorded, ns."""
+        self.shift = 0
+        """What is added to times of publication, ns."""
 
     def add(self, time_ns: int, dt_ns: int) -> None:
         """Count one message."""
@@ -94,6 +98,7 @@ class Recording:
         self.path = path
         self.scenario = scenario
         self.counts = {topic.name: TopicCount() for topic in data_topics(scenario)}
+        self._shift = 0
         self._in_file: int | None = None
         """Stamp up to which every data topic is in the file, whatever becomes of this process, ns."""
         self._writer = new_bag(path, storage)
@@ -126,14 +131,27 @@ class Recording:
     def write(self, topic: Topic, published_ns: int, data: bytes) -> None:
         """Write one message as received; a data topic's tick is counted.
 
+        Readers of bags go by the time of publication. When the system time is set back, it goes on here
+        from where it was, so that they find a topic's messages in their order.
+
         Raises:
             FtcmError: it cannot be written; the bag is given up, and says what it keeps.
         """
+        count = self.counts.get(topic.name)
+        if count is None:
+            when = published_ns + self._shift
+        else:
+            when = published_ns + count.shift
+            if when < count.published:
+                if published_ns + self._shift < count.published:  # the first topic to show it
+                    self._shift = count.published - published_ns
+                count.shift = self._shift
+                when = published_ns + count.shift
+            count.published = when
         try:
-            self._writer.write(self._connections[topic.name], published_ns, data)
+            self._writer.write(self._connections[topic.name], when, data)
         except (OSError, sqlite3.Error) as error:
             raise self._given_up(error) from None
-        count = self.counts.get(topic.name)
         if count is not None:
             count.add(stamp_of(data), self.scenario.dt_ns)
 

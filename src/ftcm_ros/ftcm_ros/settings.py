@@ -63,6 +63,11 @@ SETTINGS: dict[str, tuple[Setting, ...]] = {
             0,
             "lockstep: ticks the plant may run ahead of the recorder; 0: it waits for none",
         ),
+        Setting(
+            "torque_timeout",
+            100,
+            "real_time: ticks without fresh torque after which the drives brake (safe stop); 0: never",
+        ),
     ),
     "observer": _COMMON,
     "controller": _COMMON,

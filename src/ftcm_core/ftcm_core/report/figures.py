@@ -17,7 +17,7 @@ import numpy as np
 
 from ftcm_core.errors import FtcmError
 from ftcm_core.report.panels import MISSING, Curve, detail, grid, legend, log_panel, panel, wider
-from ftcm_core.trace import Array, Trace
+from ftcm_core.trace import ENDED_EARLY, Array, Trace
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -227,7 +227,7 @@ def _start_and_rest(
                 "label": "reference",
                 "colour": "black",
                 "dash": (0, (4, 2)),
-                "diverged": False,
+                "ended_early": False,
             }
             curves += [dataclasses.replace(c, **look) for c in _curves(traces[:1], reference, j)]
         panel(axes[j][0], curves, (first, min(last, first + 2.0 * settled)), (), absent=absent)
@@ -245,7 +245,7 @@ def _curves(traces: Sequence[Run], column: Callable[[Trace], Array], joint: int)
         if joint >= len(trace.joint_names) or not trace.ticks:
             continue
         colour, dash = _STYLES[i % len(_STYLES)][0], _STYLES[(i + i // len(_STYLES)) % len(_STYLES)][1]
-        ended = trace.status == "diverged"
+        ended = trace.status in ENDED_EARLY
         found.append(Curve(_name(label, trace), trace.time, column(trace)[:, joint], colour, dash, ended))
     return found
 
@@ -257,7 +257,7 @@ def _name(label: str, trace: Trace) -> str:
 def _estimate_curves(trace: Trace, joint: int) -> list[Curve]:
     if joint >= len(trace.joint_names) or not trace.ticks:
         return []
-    ended = trace.status == "diverged"
+    ended = trace.status in ENDED_EARLY
     pairs = (("true", trace.lumped_uncertainty, "#f0a830", "-"),
              ("estimate", trace.lumped_uncertainty_estimate, "#17257a", (0, (4, 2))))  # fmt: skip
     return [Curve(label, trace.time, x[:, joint], colour, dash, ended) for label, x, colour, dash in pairs]

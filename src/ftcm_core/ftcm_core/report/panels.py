@@ -30,7 +30,7 @@ _BAND = 0.02
 class Curve:
     """One line of a panel: a run's column of one joint.
 
-    A diverged run is drawn, but does not set the axes.
+    A run that ended early is drawn, but does not set the axes.
     """
 
     label: str
@@ -38,7 +38,7 @@ class Curve:
     values: Array
     colour: str
     dash: Any
-    diverged: bool
+    ended_early: bool
 
 
 def envelope(time: Array, values: Array, bins: int = BINS) -> tuple[Array, Array, Array]:
@@ -121,7 +121,7 @@ def panel(
             t, value = _line(curve.time, curve.values)
             value = np.clip(value, low - reach, high + reach)
             ax.plot(t, value, linewidth=1.2, linestyle=curve.dash, drawstyle=style, **look)
-        if curve.diverged and curve.time[-1] < span[1]:
+        if curve.ended_early and curve.time[-1] < span[1]:
             ax.axvline(float(curve.time[-1]), linewidth=0.8, linestyle=(0, (1, 2)), **look)
 
 
@@ -147,7 +147,7 @@ def log_panel(ax: Axes, curves: Sequence[Curve], span: tuple[float, float], mark
     if not drawn:
         _say(ax, MISSING)
         return
-    sound = [item for item in drawn if not item[0].diverged]
+    sound = [item for item in drawn if not item[0].ended_early]
     shown = np.concatenate([x[np.isfinite(x)] for _, _, x in sound or drawn])
     top = np.percentile(shown, 100.0 if sound else 90.0)
     bottom = max(1e-14, float(np.min(shown)), float(np.percentile(shown, 1.0)) / 30.0)
@@ -162,13 +162,13 @@ def log_panel(ax: Axes, curves: Sequence[Curve], span: tuple[float, float], mark
             linestyle=curve.dash,
             linewidth=1.2,
         )
-        if curve.diverged and curve.time[-1] < span[1]:
+        if curve.ended_early and curve.time[-1] < span[1]:
             ax.axvline(float(curve.time[-1]), color=curve.colour, linewidth=0.8, linestyle=(0, (1, 2)))
 
 
 def _limits(drawn: Sequence[tuple[Curve, Array, Array, Array]]) -> tuple[float, float]:
-    """Axis limits that hold every completed run; without one, most of the diverged runs."""
-    sound = [item for item in drawn if not item[0].diverged]
+    """Axis limits that hold every completed run; without one, most of the others."""
+    sound = [item for item in drawn if not item[0].ended_early]
     shown = np.concatenate([x[np.isfinite(x)] for _, _, *pair in sound or drawn for x in pair])
     low, high = np.percentile(np.clip(shown, -1e12, 1e12), (0.0, 100.0) if sound else (10.0, 90.0)).tolist()
     margin = 0.05 * (high - low) or 0.05 * abs(high) or 1e-6

@@ -11,6 +11,8 @@ import time
 import traceback
 from abc import abstractmethod
 from collections.abc import Callable
+from itertools import chain
+from math import isfinite
 from typing import Any
 
 import rclpy
@@ -22,7 +24,7 @@ from rclpy.lifecycle import LifecycleNode, LifecycleState, TransitionCallbackRet
 
 from ftcm_core.errors import FtcmError
 from ftcm_core.scenario import Scenario, load
-from ftcm_core.signals import NANOSECONDS
+from ftcm_core.signals import NANOSECONDS, seconds
 from ftcm_ros import scheduling
 from ftcm_ros.aligner import Aligner
 from ftcm_ros.codec import CodecError, JointSample, JointStateCodec
@@ -66,9 +68,10 @@ class SuiteNode(LifecycleNode):
         self._failure = ""
         self.ticks = 0
         """Ticks done since activation."""
-        self.refused = 0
-        """Messages refused, and the last reason."""
+        self.refused: dict[str, int] = {}
+        """Messages refused, per kind, and the last reason."""
         self.refusal = ""
+        self._dt_ns, self._end_ns = self.scenario.dt_ns, self.scenario.last_tick * self.scenario.dt_ns
         self._report = self.plane.publisher(DIAGNOSTICS)
         self._report_marks = (time.monotonic(), 0)
         self.create_timer(1.0, self.report, clock=Clock(clock_type=ClockType.STEADY_TIME))
@@ -202,20 +205,35 @@ class SuiteNode(LifecycleNode):
 
     # Messages.
 
-    def decode(self, topic: Topic, data: bytes) -> JointSample | None:
-        """Decode a JointState; None and a count if it is refused."""
-        try:
-            return self.codec.decode(data)
-        except CodecError as error:
-            self.refuse(topic, str(error))
-            return None
+    def decode(self, topic: Topic, data: bytes, arrays: tuple[str, ...] = ()) -> JointSample | None:
+        """Decode a JointState; None and a count if it is refused.
 
-    def refuse(self, topic: Topic, reason: str) -> None:
+        Args:
+            topic: where it came from.
+            data: the serialized message.
+            arrays: which arrays must be filled.
+        """
+        try:
+            sample = self.codec.decode(data)
+        except CodecError as error:
+            self.refuse(topic, "malformed", str(error))
+            return None
+        time_ns = sample.time_ns
+        if time_ns % self._dt_ns or not 0 <= time_ns <= self._end_ns:
+            self.refuse(topic, "stamp", f"t = {seconds(time_ns):.9f} s is not a tick of this run")
+            return None
+        for array in arrays:
+            if not getattr(sample, array):
+                self.refuse(topic, "malformed", f"{array} is empty; expected one value per joint")
+                return None
+        return sample
+
+    def refuse(self, topic: Topic, kind: str, reason: str) -> None:
         """Count a message that cannot be used."""
-        self.refused += 1
+        if not self.refused:
+            self.get_logger().warning(f"message refused: {topic.name}: {reason}")
+        self.refused[kind] = self.refused.get(kind, 0) + 1
         self.refusal = f"{topic.name}: {reason}"
-        if self.refused == 1:
-            self.get_logger().warning(f"message refused: {self.refusal}")
 
     # Diagnostics.
 
@@ -229,12 +247,21 @@ class SuiteNode(LifecycleNode):
         self._report_marks = (now, self.ticks)
         level, message, values = self.health()
         rate = max(0, self.ticks - ticks) / max(now - then, 1e-9)
-        if self.refused:
-            level, message = "error", f"{self.refused} messages refused, last: {self.refusal}"
+        kinds = dict(self.refused)
+        for name, source in list(self.plane.sources.items()):
+            if source.refused:
+                kinds["other_publisher"] = kinds.get("other_publisher", 0) + source.refused
+                self.refusal = self.refusal or f"{name}: from another publisher"
+        refused = sum(kinds.values())
+        if refused:
+            level, message = "error", f"{message}; {refused} messages refused, last: {self.refusal}"
+        if rivals := self.plane.rivals():
+            level, message = "error", f"{message}; {rivals}"
         common = {
             "ticks": self.ticks,
             "rate_hz": round(rate, 1),
-            "refused": self.refused,
+            "refused": refused,
+            **{f"refused_{kind}": count for kind, count in kinds.items()},
             "cpu_seconds": round(time.process_time(), 3),
         }
         status = DiagnosticStatus(
@@ -313,13 +340,12 @@ class ReactiveNode(SuiteNode):
         def handle(data: bytes, published_ns: int) -> None:
             if not self.active:
                 return
-            sample = self.decode(topic, data)
+            sample = self.decode(topic, data, arrays)
             if sample is None:
                 return
-            for array in arrays:
-                if not getattr(sample, array):
-                    self.refuse(topic, f"{array} is empty; expected one value per joint")
-                    return
+            if name == self._first and not all(map(isfinite, chain(*sample[1:]))):
+                self.refuse(topic, "not_finite", f"{sample[1:]} is not finite")
+                return
             self.take(name, sample)
 
         return handle
@@ -332,10 +358,10 @@ class ReactiveNode(SuiteNode):
         """Take one input; answer if its tick is complete."""
         time_ns, aligner = sample.time_ns, self.aligner
         begin = time.monotonic_ns()
-        if aligner.last is not None:
-            if time_ns == 0 < aligner.last and name in aligner.required:  # tick 0 begins a run
+        if name == self._first and aligner.last is not None:
+            if time_ns == 0 < aligner.last:  # the plant begins a run
                 self.configure()
-            elif time_ns == aligner.last and name == self._first:  # the plant asks again
+            elif time_ns == aligner.last:  # the plant asks again
                 for publish, data in self._answer:
                     publish(data)
                 return
@@ -378,6 +404,7 @@ class ReactiveNode(SuiteNode):
             **times,
             "gaps": self.gaps,
             "stale": self.aligner.stale,
+            "repeated": self.aligner.repeated,
             "dropped": self.aligner.dropped,
             "input_age_us": round(self.age_ns / 1000, 1),
         }  # fmt: skip

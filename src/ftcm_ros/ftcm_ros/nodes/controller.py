@@ -9,6 +9,7 @@ from collections.abc import Callable
 from typing import Any, cast
 
 from ftcm_core.controllers import Controller
+from ftcm_core.limits import command_beyond
 from ftcm_core.registry import Component
 from ftcm_core.signals import Measurement
 from ftcm_core.stages import ControllerStage
@@ -28,6 +29,10 @@ class ControllerNode(SwappableNode):
         self._publish = self.plane.publisher(TORQUES)
         self._publish_reference = self.plane.publisher(REFERENCE)
         self._zeros = (0.0,) * self.scenario.robot.joints
+        self._limits = self.scenario.limits
+        self.beyond_limits = 0
+        """Commands that the drives cannot follow, and what was wrong with the last."""
+        self.last_beyond = ""
         self.configure()
 
     def configure(self) -> None:
@@ -62,6 +67,9 @@ class ControllerNode(SwappableNode):
             self.get_logger().error(f"tick {time_ns // self.scenario.dt_ns}: {error}")
             u = (math.nan,) * self.scenario.robot.joints
             reference = self.scenario.reference.at(time_ns / 1e9, self.scenario.robot.joints)
+        if beyond := command_beyond(self._limits, self.codec.joint_names, self._output, u):
+            self.beyond_limits += 1
+            self.last_beyond = f"t = {time_ns / 1e9:g} s: {beyond}"
         self.announce(time_ns, self.stage.controller, u)
         return [
             (self._publish, self.codec.torque.encode(time_ns, u)),
@@ -70,6 +78,15 @@ class ControllerNode(SwappableNode):
                 self.codec.motion.encode(time_ns, reference.position, reference.velocity),
             ),
         ]
+
+    def health(self) -> tuple[str, str, dict[str, Any]]:
+        """Besides, commands beyond the robot's limits; the plant enforces them."""
+        level, message, values = super().health()
+        values["beyond_limits"] = self.beyond_limits
+        if self.beyond_limits:
+            level = "warn" if level == "ok" else level
+            message += f"; {self.beyond_limits} commands beyond the limits, last: {self.last_beyond}"
+        return level, message, values
 
 
 def main() -> None:

@@ -11,7 +11,10 @@ from builtin_interfaces.msg import Time
 from rclpy.serialization import deserialize_message
 from std_msgs.msg import String
 
+from ftcm_core.errors import FtcmError
 from ftcm_core.signals import NANOSECONDS, TrueDisturbance, seconds
+from ftcm_core.trace import ENDED_EARLY
+from ftcm_ros.clocks import ClockWatch
 from ftcm_ros.durations import Durations
 from ftcm_ros.nodes.base import POLL_NS, ExecutionTimes, SuiteNode, run
 from ftcm_ros.pacing import PACERS, Misses, RealTime
@@ -30,6 +33,10 @@ class PlantNode(SuiteNode):
         super().__init__("plant")
         self.mode: str = self.setting("mode")
         self.recorder_window: int = self.setting("recorder_window")
+        timeout: int = self.setting("torque_timeout")
+        if timeout < 0:
+            raise FtcmError(f"torque_timeout: {timeout} is out of range; expected ticks, or 0: never")
+        self._torque_timeout_ns = timeout * self.scenario.dt_ns or sys.maxsize
         self._publish = self.plane.publisher(JOINT_STATES)
         exact = self.scenario.sensor.exact
         self._publish_truth = None if exact else self.plane.publisher(TRUE_STATE)
@@ -42,6 +49,7 @@ class PlantNode(SuiteNode):
         self.plane.subscribe(RECORDED, self._on_recorded)
         self._recorded_ns = -1
         self.times = ExecutionTimes()
+        self._clocks = ClockWatch()
         self.state = "waiting"
         self.detail = ""
         self._began = time.monotonic()
@@ -52,15 +60,24 @@ class PlantNode(SuiteNode):
         latest = self._inputs[topic]
 
         def handle(data: bytes, published_ns: int) -> None:
-            sample = self.decode(topic, data)
+            if not self.active:
+                return
+            sample = self.decode(topic, data, ("effort",))
             if sample is None:
                 return
-            if len(sample.effort) != self.scenario.robot.joints:
-                self.refuse(topic, "effort is empty; expected one torque per joint")
-            elif self.active and latest["time_ns"] < sample.time_ns <= self.time_ns:
-                latest["time_ns"], latest["value"] = sample.time_ns, sample.effort
-                if sample.time_ns == self.time_ns:
+            time_ns, value = sample.time_ns, sample.effort
+            if latest["time_ns"] < time_ns <= self.time_ns:
+                latest["time_ns"], latest["value"] = time_ns, value
+                if time_ns == self.time_ns:
                     self._on_input()
+            elif time_ns > self.time_ns:
+                self.refuse(topic, "future", f"t = {seconds(time_ns):g} s has not come yet")
+            elif time_ns == latest["time_ns"] and value == latest["value"]:
+                self.repeated += 1
+            elif time_ns == latest["time_ns"]:
+                self.refuse(topic, "conflicting", f"another value for t = {seconds(time_ns):g} s")
+            else:
+                self.refuse(topic, "stale", f"t = {seconds(time_ns):g} s after a later tick")
 
         return handle
 
@@ -86,6 +103,10 @@ class PlantNode(SuiteNode):
         self._finished = False
         self._published_at = 0
         self.asked_again = 0
+        self.repeated = 0
+        """Inputs that came again for their tick, the same."""
+        self.stopping_safely = False
+        self.safe_stops = self.safe_stop_ticks = 0
         self._raised = ""
         """What the robot's equations raised: it was driven out of their domain."""
 
@@ -148,12 +169,25 @@ class PlantNode(SuiteNode):
     def _integrate(self) -> None:
         if self.tick < self.scenario.last_tick:
             begin = time.monotonic_ns()
-            u, d = (self._inputs[t]["value"] for t in (TORQUES, DISTURBANCE))
+            torque, d = self._inputs[TORQUES], TrueDisturbance(self._inputs[DISTURBANCE]["value"])
             try:
-                self.stage.step(u, TrueDisturbance(d))
+                if self._stop_safely(self.time_ns - torque["time_ns"] > self._torque_timeout_ns):
+                    self.stage.safe_stop(d)
+                else:
+                    self.stage.step(torque["value"], d)
             except (ArithmeticError, ValueError) as error:
                 self._raised = str(error)
             self.times.add(time.monotonic_ns() - begin)
+
+    def _stop_safely(self, overdue: bool) -> bool:
+        """Count and tell when the torque is overdue (real time only), and when it is fresh again."""
+        if overdue != self.stopping_safely:
+            self.stopping_safely = overdue
+            self.safe_stops += overdue
+            what = "safe stop: no fresh torque" if overdue else "safe stop ends: fresh torque"
+            self.get_logger().warning(f"tick {self.tick}: {what}")
+        self.safe_stop_ticks += overdue
+        return overdue
 
     def _end_of_tick(self) -> None:
         if not self._answered:  # real time only: hold the newest torque and disturbance
@@ -165,10 +199,9 @@ class PlantNode(SuiteNode):
         self.ticks += 1
         if self._raised:
             self._finish("diverged", f"at t = {seconds(self.time_ns):g} s: {self._raised}")
-        elif self.stage.diverged:
-            self._finish(
-                "diverged", f"at t = {seconds(self.time_ns + self.scenario.dt_ns):g} s: {self.stage.diverged}"
-            )
+        elif self.stage.reason:
+            after = seconds(self.time_ns + self.scenario.dt_ns)
+            self._finish(self.stage.status, f"at t = {after:g} s: {self.stage.reason}")
         elif self.tick == self.scenario.last_tick:
             self._finish("completed", f"{seconds(self.time_ns):g} s")
         else:
@@ -208,11 +241,14 @@ class PlantNode(SuiteNode):
         level = "ok"
         if misses.total and self.ticks:
             level = "error" if misses.total > 0.01 * self.ticks else "warn"
-        if self.state == "diverged":
+        if self.state in ENDED_EARLY:
             level = "error"
         message = f"{self.state}: {self.detail}" if self.detail else self.state
         if misses.total:
             message += f", {misses.total} deadlines missed"
+        safety = "safe_stop" if self.active and self.stopping_safely else "normal"
+        if safety != "normal":
+            level, message = "error", f"{message}, safe stop: no fresh torque"
         return level, message, {
             "state": self.state,
             "detail": self.detail,
@@ -225,6 +261,11 @@ class PlantNode(SuiteNode):
             "late_disturbance": misses.late_disturbance,
             "plant_overrun": misses.plant_overrun,
             "asked_again": self.asked_again,
+            "repeated": self.repeated,
+            "safety": safety,
+            "safe_stops": self.safe_stops,
+            "safe_stop_ticks": self.safe_stop_ticks,
+            **self._clocks.look(),
             **self._percentiles("latency", self.latencies),
             **self._percentiles("jitter", self.lateness),
             **times,
