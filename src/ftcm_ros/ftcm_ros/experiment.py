@@ -11,7 +11,6 @@ import argparse
 import contextlib
 import os
 import signal
-import subprocess
 import sys
 import time
 from pathlib import Path
@@ -27,6 +26,7 @@ from ftcm_core.report.results import write_results
 from ftcm_core.scenario import Scenario, load
 from ftcm_ros.bag import read_bag
 from ftcm_ros.domain import Domain
+from ftcm_ros.external import AmbientDomain, ExternalNodes
 from ftcm_ros.latency import hop_times, percentiles, write_figure
 from ftcm_ros.lifecycle_client import Managed, drive
 from ftcm_ros.processes import NodeProcesses
@@ -90,9 +90,13 @@ class Run:
         self.scenario, self.label, self.folder, self.options = scenario, label, folder, options
         self.bag = folder / "bags" / label
         self.logs = folder / "logs" / label
-        self.processes = NodeProcesses(
-            self.logs, {"ROS_DOMAIN_ID": str(domain), "ROS_LOG_DIR": str(self.logs.resolve())}
-        )
+        self.processes: NodeProcesses | ExternalNodes
+        if options.external_nodes:
+            self.processes = ExternalNodes(folder / "nodes")
+        else:
+            self.processes = NodeProcesses(
+                self.logs, {"ROS_DOMAIN_ID": str(domain), "ROS_LOG_DIR": str(self.logs.resolve())}
+            )
         self.health: dict[str, dict[str, str]] = {}
         self.heard: dict[str, float] = {}
         self.timing: dict[str, Any] = {}
@@ -203,13 +207,12 @@ class Run:
         Whatever has become of the other nodes; a node that does not answer is stopped afterwards.
         """
         for name, seconds in (("plant", PLANT_STOP_SECONDS), ("recorder", CLOSE_SECONDS)):
-            process = self.processes.processes.get(name)
-            if process is None or process.poll() is not None:
+            if not self.processes.running(name):
                 continue
 
-            def spin(name: str = name, process: subprocess.Popen[bytes] = process) -> None:
+            def spin(name: str = name) -> None:
                 rclpy.spin_once(self.node, timeout_sec=0.05)
-                if process.poll() is not None:
+                if not self.processes.running(name):
                     raise FtcmError(f"{name} has ended")
 
             with contextlib.suppress(FtcmError):
@@ -244,6 +247,12 @@ def build_parser() -> argparse.ArgumentParser:
     )
     parser.add_argument("--domain-id", type=int, help="ROS domain; default: a free one")
     parser.add_argument(
+        "--external-nodes",
+        action="store_true",
+        help="start no nodes: lay out their parameters in RUN/nodes/NODE.yaml and drive those that somebody "
+        "else starts with them, in the environment's ROS domain and discovery range; one controller",
+    )
+    parser.add_argument(
         "--data-path", choices=("waitset", "executor"), default="waitset", help="default: waitset"
     )
     parser.add_argument("--priority", type=int, default=0, help="SCHED_FIFO priority of the nodes")
@@ -264,6 +273,11 @@ def run_experiment(options: argparse.Namespace) -> int:
     labels = [s.controller.type_name for s in scenarios]
     if len(set(labels)) < len(labels):
         raise FtcmError(f"controllers {labels}: each may be named once")
+    if options.external_nodes and len(labels) > 1:
+        raise FtcmError(
+            f"--external-nodes: {len(labels)} controllers ({', '.join(labels)}); expected one, "
+            "choose it with --controllers"
+        )
     name = options.name or f"{scenarios[0].name}-{time.strftime('%Y%m%d-%H%M%S')}"
     if Path(name).name != name:
         raise FtcmError(
@@ -276,8 +290,10 @@ def run_experiment(options: argparse.Namespace) -> int:
         raise FtcmError(f"run {str(folder)!r} exists already; choose another --name or remove it") from None
     except OSError as error:
         raise FtcmError(f"run {str(folder)!r} cannot be made: {error.strerror or error}") from None
-    domain = Domain(options.domain_id)
-    os.environ.update(ROS_DOMAIN_ID=str(domain.number), ROS_AUTOMATIC_DISCOVERY_RANGE="LOCALHOST")
+    domain = AmbientDomain(options.domain_id) if options.external_nodes else Domain(options.domain_id)
+    os.environ["ROS_DOMAIN_ID"] = str(domain.number)
+    if not options.external_nodes:
+        os.environ["ROS_AUTOMATIC_DISCOVERY_RANGE"] = "LOCALHOST"
     os.environ["ROS_LOG_DIR"] = str((folder / "logs").resolve())
     os.environ.setdefault("FASTRTPS_DEFAULT_PROFILES_FILE", str(PROFILES))
     say(f"run {folder}: {', '.join(labels)} in {options.mode}, ROS_DOMAIN_ID={domain.number}")

@@ -13,9 +13,8 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
-import yaml
-
 from ftcm_core.errors import FtcmError
+from ftcm_ros.external import write_parameters
 
 PARENT_VARIABLE = "FTCM_PARENT_PID"
 """Tells a node whose child it is; it ends when that process ends."""
@@ -50,7 +49,7 @@ class NodeProcesses:
         """Start a node with parameters."""
         self.folder.mkdir(parents=True, exist_ok=True)
         file = self.folder / f"{node}.yaml"
-        file.write_text(yaml.safe_dump({f"/{node}": {"ros__parameters": dict(parameters)}}), encoding="utf-8")
+        write_parameters(file, node, parameters)
         command = [sys.executable, "-m", f"ftcm_ros.nodes.{node}", "--ros-args", "--params-file", str(file)]
         with (self.folder / f"{node}.log").open("wb") as log:
             self.processes[node] = subprocess.Popen(
@@ -68,6 +67,11 @@ class NodeProcesses:
             code = process.poll()
             if code is not None:
                 raise FtcmError(f"node {node!r} {describe_exit(code)}; {self.last_words(node)}")
+
+    def running(self, node: str) -> bool:
+        """Whether a node has been started and has not ended."""
+        process = self.processes.get(node)
+        return process is not None and process.poll() is None
 
     def last_words(self, node: str) -> str:
         """Return the end of a node's output, in one line."""
