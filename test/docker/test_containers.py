@@ -164,7 +164,7 @@ def up(tmp_path: Path) -> Iterator[Callable[..., Project]]:
 def network() -> Iterator[str]:
     """A network for several experiments."""
     name = f"ftcm-test-{os.getpid()}"
-    docker("network", "create", "--internal", "--label", "ftcm", name)
+    docker("network", "create", "--label", "ftcm", name)
     yield name
     docker("network", "rm", name)
 
