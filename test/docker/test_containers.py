@@ -110,13 +110,12 @@ class Project:
         """Wait for the end of the experiment and return its status."""
         return int(docker("wait", self.container("experiment")))
 
-    def log(self, service: str = "experiment") -> str:
-        """Return what a container has written."""
+    def log(self) -> str:
+        """Return what the experiment has told the user, without the results on its standard output."""
         run = subprocess.run(
-            ["docker", "logs", self.container(service)],
-            stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True, check=False,
-        )  # fmt: skip
-        return run.stdout
+            ["docker", "logs", self.container("experiment")], capture_output=True, text=True, check=False
+        )
+        return run.stderr
 
     def inside(self, *arguments: str, network: str = "none") -> Any:
         """Run inside.py in a container of its own and return what it says."""
@@ -245,7 +244,7 @@ FAULTS: dict[str, Callable[[Project, str], Any]] = {
 @pytest.mark.parametrize("fault", FAULTS)
 @pytest.mark.parametrize("victim", NODES)
 def test_a_container_that_fails_ends_the_run_and_is_named(up: Up, victim: str, fault: str) -> None:
-    project = up("paper --controllers ftcm")
+    project = up("paper --controllers ftcm --set duration=15")
     project.wait_for_ticks()
     container = project.container(victim)
     FAULTS[fault](project, container)
