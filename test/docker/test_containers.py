@@ -21,7 +21,7 @@ pytestmark = [pytest.mark.docker, pytest.mark.slow]
 ROOT = Path(__file__).resolve().parents[2]
 IMAGE = os.environ.get("FTCM_IMAGE", "ftcm")
 NODES = ("plant", "injector", "observer", "controller", "recorder")
-HANG_SECONDS = 120.0
+HANG_SECONDS = 200.0
 """Generous ceiling that catches hangs."""
 SHORT = "paper --controllers ftcm --set duration=1 --set injection.faults.0.start=0.5"
 

@@ -34,8 +34,6 @@ from ftcm_ros.settings import NODES
 from ftcm_ros.topics import DIAGNOSTICS
 
 PAPER_CONTROLLERS = ("smc", "nftsmc", "ftcm")
-START_SECONDS = 30.0
-"""How long a node may take to come up."""
 PLANT_STOP_SECONDS = 3.0
 CLOSE_SECONDS = 15.0
 """How long the recorder may take to close the bag."""
@@ -161,7 +159,7 @@ class Run:
         Raises:
             FtcmError: one of them could not.
         """
-        failed = drive([self.managed[n] for n in nodes], name, self._spin, START_SECONDS)
+        failed = drive([self.managed[n] for n in nodes], name, self._spin, self.processes.start_seconds)
         if failed:
             raise FtcmError(f"node {failed!r} did not {name}; {self.processes.last_words(failed)}")
 

@@ -26,6 +26,9 @@ def write_parameters(file: Path, node: str, parameters: Mapping[str, Any]) -> No
 class ExternalNodes:
     """In the place of :class:`~ftcm_ros.processes.NodeProcesses`: lays out parameters, starts nothing."""
 
+    start_seconds = 120.0
+    """How long a node may take to come up: its container or machine starts first."""
+
     def __init__(self, folder: Path) -> None:
         """Lay the parameter files out in a folder that the nodes' starter reads, ``<node>.yaml``."""
         self.folder = folder

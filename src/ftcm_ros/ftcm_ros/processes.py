@@ -34,6 +34,9 @@ def end_with_parent() -> None:
 class NodeProcesses:
     """One process per node, each with its own log file."""
 
+    start_seconds = 30.0
+    """How long a node may take to come up."""
+
     def __init__(self, folder: Path, environment: Mapping[str, str]) -> None:
         """Keep logs and parameter files in a folder."""
         self.folder = folder
