@@ -265,8 +265,8 @@ def test_a_container_that_fails_ends_the_run_and_is_named(up: Up, victim: str, f
 
 
 @pytest.mark.parametrize("where", ["two networks", "one network"])
-def test_two_experiments_side_by_side(up: Up, request: pytest.FixtureRequest, where: str) -> None:
-    shared = {"FTCM_NETWORK": request.getfixturevalue("network")} if where == "one network" else {}
+def test_two_experiments_side_by_side(network: str, up: Up, where: str) -> None:
+    shared = {"FTCM_NETWORK": network} if where == "one network" else {}
     domains = ("7", "8") if shared else ("7", "7")
     laws = ("ftcm", "smc")
     projects = [
