@@ -66,7 +66,13 @@ test-env:
 .PHONY: test-here
 test-here: test-env build ## Run all tests in .venv; PYTEST_ARGS='...' for some of them
 	@echo '==> test: all tests'
-	@$(call source,.venv,); python -m pytest $(PYTEST_ARGS)
+	@$(call source,.venv,); python -m pytest -m 'not docker' $(PYTEST_ARGS)
+
+.PHONY: docker-test
+docker-test: test-env ## Build the image and run the integration tests in containers (skipped without a Docker engine)
+	@if docker info >/dev/null 2>&1; then docker/build; fi
+	@echo '==> docker-test: the suite in containers'
+	@$(call enter,.venv); python -m pytest -m docker test/docker $(PYTEST_ARGS)
 
 .PHONY: test-jazzy
 test-jazzy: ## Run the quick tests with numpy 1.26 and setuptools 68, as on Ubuntu 24.04
@@ -77,7 +83,7 @@ else
 	[ -e .venv-jazzy/.done-jazzy ] || exit 0; \
 	$(call colcon_build,.venv-jazzy,.venv-jazzy/); \
 	echo '==> test-jazzy: the tests not marked slow, with the versions of Ubuntu 24.04'; \
-	$(call source,.venv-jazzy,.venv-jazzy/); python -m pytest -m 'not slow' $(PYTEST_ARGS)
+	$(call source,.venv-jazzy,.venv-jazzy/); python -m pytest -m 'not slow and not docker' $(PYTEST_ARGS)
 endif
 
 .PHONY: lint

@@ -6,6 +6,7 @@ from __future__ import annotations
 import json
 import signal
 import subprocess
+import time
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -23,6 +24,7 @@ from ftcm_core.simulation import simulate
 from ftcm_core.trace import COLUMNS, Trace
 from ftcm_ros.bag import BagContents, read_bag
 from ftcm_ros.domain import Domain
+from ftcm_ros.settings import NODES
 
 pytestmark = pytest.mark.ros
 
@@ -260,6 +262,27 @@ def test_a_run_that_diverges_is_a_result(experiment: Experiment, tmp_path: Path)
     assert bag_of(tmp_path, "ctc").trace.status == "completed"
 
 
+def test_nodes_that_somebody_else_starts(
+    start: Start, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, domain: int
+) -> None:
+    monkeypatch.setenv("FTCM_HEARTBEAT", str(tmp_path / "heartbeat"))
+    arguments = ["--controllers", "smc", "--set", "duration=0.5", "--name", "test", "--no-figures"]
+    process = start("experiment", "paper", "--external-nodes", *arguments)
+    files = {n: tmp_path / "runs" / "test" / "nodes" / f"{n}.yaml" for n in NODES}
+    for _ in range(600):
+        if all(f.exists() for f in files.values()):
+            break
+        time.sleep(0.1)
+    nodes = [start(f"nodes.{n}", "--ros-args", "--params-file", str(f)) for n, f in files.items()]
+    _, err = process.communicate(timeout=120)
+    assert process.returncode == 0, err
+    bag = bag_of(tmp_path, "smc")
+    assert bag.missing == {}
+    assert differing(bag.trace, simulate(load("paper", ["duration=0.5"], controller="smc"))) == []
+    assert [n.poll() for n in nodes] == [None] * 5
+    assert (tmp_path / "heartbeat").exists()
+
+
 @pytest.mark.parametrize(
     ("arguments", "text"),
     [
@@ -269,6 +292,11 @@ def test_a_run_that_diverges_is_a_result(experiment: Experiment, tmp_path: Path)
         (["paper", "--set", "observer.k1=-1"], "observer.k1: -1 is out of range"),
         (["paper", "--set", "observer.type=none", "--controllers", "ftcm"], "uses the disturbance estimate"),
         (["paper", "--domain-id", "999"], "domain 999 is out of range"),
+        (["paper", "--external-nodes"], "3 controllers (smc, nftsmc, ftcm); expected one"),
+        (
+            ["paper", "--external-nodes", "--controllers", "smc", "--domain-id", "-1"],
+            "domain -1 is out of range",
+        ),
     ],
 )
 def test_mistakes_are_one_line(

@@ -27,12 +27,15 @@ def provenance() -> dict[str, str]:
 
 
 def git_revision() -> str | None:
-    """Return the checkout's revision, with ``+`` if there are uncommitted changes; None outside one."""
+    """Return the checkout's revision, with ``+`` if there are uncommitted changes.
+
+    Outside a checkout: what ``FTCM_REVISION`` says, as an image does of what it was built from, or None.
+    """
     here = Path(__file__).resolve()
     if (
         _git(here.parent, "ls-files", "--error-unmatch", here.name) is None
     ):  # installed inside some other checkout
-        return None
+        return os.environ.get("FTCM_REVISION") or None
     return _git(here.parent, "describe", "--always", "--abbrev=12", "--dirty=+", "--exclude=*")
 
 

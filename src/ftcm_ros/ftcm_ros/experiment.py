@@ -15,7 +15,6 @@ import argparse
 import contextlib
 import os
 import signal
-import subprocess
 import sys
 import time
 from pathlib import Path
@@ -30,6 +29,7 @@ from ftcm_core.scenario import Scenario, load
 from ftcm_core.trace import ENDED_EARLY
 from ftcm_ros.bag import BagContents, read_bag
 from ftcm_ros.domain import Domain
+from ftcm_ros.external import AmbientDomain, ExternalNodes
 from ftcm_ros.graph import join_as
 from ftcm_ros.latency import hop_times, percentiles, write_figure
 from ftcm_ros.lifecycle_client import Managed, drive
@@ -40,8 +40,6 @@ from ftcm_ros.topics import DIAGNOSTICS
 from ftcm_ros.watch import Watch
 
 PAPER_CONTROLLERS = ("smc", "nftsmc", "ftcm")
-START_SECONDS = 60.0
-"""How long a node may take to come up."""
 PLANT_STOP_SECONDS = 3.0
 CLOSE_SECONDS = 15.0
 """How long the recorder may take to close the bag."""
@@ -88,17 +86,26 @@ class Run:
     """One scenario with one controller over the graph."""
 
     def __init__(
-        self, scenario: Scenario, label: str, folder: Path, options: argparse.Namespace, domain: Domain
+        self,
+        scenario: Scenario,
+        label: str,
+        folder: Path,
+        options: argparse.Namespace,
+        domain: Domain | AmbientDomain,
     ) -> None:
         """Prepare folders and processes; nothing is started yet."""
         self.scenario, self.label, self.folder, self.options = scenario, label, folder, options
         self.bag = folder / "bags" / label
         self.logs = folder / "logs" / label
-        self.processes = NodeProcesses(
-            self.logs,
-            {"ROS_DOMAIN_ID": str(domain.number), "ROS_LOG_DIR": str(self.logs.resolve())},
-            [domain.fileno()],
-        )
+        self.processes: NodeProcesses | ExternalNodes
+        if isinstance(domain, AmbientDomain):
+            self.processes = ExternalNodes(folder / "nodes")
+        else:
+            self.processes = NodeProcesses(
+                self.logs,
+                {"ROS_DOMAIN_ID": str(domain.number), "ROS_LOG_DIR": str(self.logs.resolve())},
+                [domain.fileno()],
+            )
         self.health: dict[str, dict[str, str]] = {}
         self.watch: Watch | None = None
         self.timing: dict[str, Any] = {}
@@ -171,7 +178,7 @@ class Run:
         Raises:
             FtcmError: one of them could not.
         """
-        failed = drive([self.managed[n] for n in nodes], name, self._spin, START_SECONDS)
+        failed = drive([self.managed[n] for n in nodes], name, self._spin, self.processes.start_seconds)
         if failed:
             raise FtcmError(f"node {failed!r} did not {name}; {self.processes.last_words(failed)}")
 
@@ -209,11 +216,10 @@ class Run:
             progress.show(tick, rate, missed)
             name, reason = self.watch.culprit()
             if name:
-                state = "its process is stopped" if self.processes.is_stopped(name) else "it runs"
                 said = self.health.get(name, {}).get("message", "")
                 raise FtcmError(
-                    f"node {name!r} {reason}, at tick {tick}: {state}, its last diagnostics {said!r}; "
-                    f"{self.processes.last_words(name)}"
+                    f"node {name!r} {reason}, at tick {tick}: {self.processes.condition(name)}, "
+                    f"its last diagnostics {said!r}; {self.processes.last_words(name)}"
                 )
 
     def _close_bag(self) -> None:
@@ -223,13 +229,12 @@ class Run:
         """
         self.processes.resume()
         for name, seconds in (("plant", PLANT_STOP_SECONDS), ("recorder", CLOSE_SECONDS)):
-            process = self.processes.processes.get(name)
-            if process is None or process.poll() is not None:
+            if not self.processes.running(name):
                 continue
 
-            def spin(name: str = name, process: subprocess.Popen[bytes] = process) -> None:
+            def spin(name: str = name) -> None:
                 rclpy.spin_once(self.node, timeout_sec=0.05)
-                if process.poll() is not None:
+                if not self.processes.running(name):
                     raise FtcmError(f"{name} has ended")
 
             with contextlib.suppress(FtcmError):
@@ -264,6 +269,12 @@ def build_parser() -> argparse.ArgumentParser:
     )
     parser.add_argument("--domain-id", type=int, help="ROS domain; default: a free one")
     parser.add_argument(
+        "--external-nodes",
+        action="store_true",
+        help="start no nodes: lay out their parameters in RUN/nodes/NODE.yaml and drive those that somebody "
+        "else starts with them, in the environment's ROS domain and discovery range; one controller",
+    )
+    parser.add_argument(
         "--data-path",
         choices=("listener", "waitset", "executor"),
         default="listener",
@@ -296,6 +307,11 @@ def run_experiment(options: argparse.Namespace) -> int:
     labels = [s.controller.type_name for s in scenarios]
     if len(set(labels)) < len(labels):
         raise FtcmError(f"controllers {labels}: each may be named once")
+    if options.external_nodes and len(labels) > 1:
+        raise FtcmError(
+            f"--external-nodes: {len(labels)} controllers ({', '.join(labels)}); expected one, "
+            "choose it with --controllers"
+        )
     name = options.name or f"{scenarios[0].name}-{time.strftime('%Y%m%d-%H%M%S')}"
     if Path(name).name != name:
         raise FtcmError(
@@ -308,7 +324,7 @@ def run_experiment(options: argparse.Namespace) -> int:
         raise FtcmError(f"run {str(folder)!r} exists already; choose another --name or remove it") from None
     except OSError as error:
         raise FtcmError(f"run {str(folder)!r} cannot be made: {error.strerror or error}") from None
-    domain = Domain(options.domain_id)
+    domain = AmbientDomain(options.domain_id) if options.external_nodes else Domain(options.domain_id)
     network = use_domain(domain, folder)
     say(f"run {folder}: {', '.join(labels)} in {options.mode}, ROS_DOMAIN_ID={domain.number} {network}")
     failures, runs = [], []
@@ -340,7 +356,7 @@ def run_experiment(options: argparse.Namespace) -> int:
     return 1 if failures else 0
 
 
-def use_domain(domain: Domain, folder: Path) -> str:
+def use_domain(domain: Domain | AmbientDomain, folder: Path) -> str:
     """Let this process and its children take part in a domain, with logs in a folder.
 
     Returns:

@@ -13,9 +13,8 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-import yaml
-
 from ftcm_core.errors import FtcmError
+from ftcm_ros.external import write_parameters
 from ftcm_ros.network import enclave
 
 PARENT_VARIABLE = "FTCM_PARENT_PID"
@@ -36,6 +35,9 @@ def end_with_parent() -> None:
 class NodeProcesses:
     """One process per node, each with its own log file."""
 
+    start_seconds = 60.0
+    """How long a node may take to come up."""
+
     def __init__(self, folder: Path, environment: Mapping[str, str], files: Sequence[int] = ()) -> None:
         """Keep logs and parameter files in a folder; the nodes inherit these open files."""
         self.folder = folder
@@ -52,7 +54,7 @@ class NodeProcesses:
         """Start a node with parameters."""
         self.folder.mkdir(parents=True, exist_ok=True)
         file = self.folder / f"{node}.yaml"
-        file.write_text(yaml.safe_dump({f"/{node}": {"ros__parameters": dict(parameters)}}), encoding="utf-8")
+        write_parameters(file, node, parameters)
         command = [sys.executable, "-m", f"ftcm_ros.nodes.{node}", "--ros-args", "--params-file", str(file)]
         command += enclave(node)
         with (self.folder / f"{node}.log").open("wb") as log:
@@ -72,6 +74,15 @@ class NodeProcesses:
             if code is not None:
                 raise FtcmError(f"node {node!r} {describe_exit(code)}; {self.last_words(node)}")
 
+    def pids(self) -> dict[str, int]:
+        """Process numbers of the nodes that run."""
+        return {node: process.pid for node, process in self.processes.items() if process.poll() is None}
+
+    def running(self, node: str) -> bool:
+        """Whether a node has been started and has not ended."""
+        process = self.processes.get(node)
+        return process is not None and process.poll() is None
+
     def last_words(self, node: str) -> str:
         """Return the end of a node's output, in one line."""
         log = self.folder / f"{node}.log"
@@ -81,13 +92,13 @@ class NodeProcesses:
         said_why = lines[-1].startswith(f"{node}: ")
         return f"its last words: {' | '.join(lines[-1:] if said_why else lines[-3:])} (log: {log})"
 
-    def is_stopped(self, node: str) -> bool:
-        """Whether a node's process is stopped, as by SIGSTOP or a debugger."""
+    def condition(self, node: str) -> str:
+        """Say whether a node's process is stopped, as by SIGSTOP or a debugger."""
         try:
             stat = Path(f"/proc/{self.pid(node)}/stat").read_text()
         except (OSError, KeyError):
-            return False
-        return stat.rpartition(")")[2].split()[0] in "Tt"
+            return "it has ended"
+        return "its process is stopped" if stat.rpartition(")")[2].split()[0] in "Tt" else "it runs"
 
     def resume(self) -> None:
         """Let stopped nodes go on: a stopped process can neither finish nor act on a signal."""

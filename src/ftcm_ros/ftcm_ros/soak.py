@@ -65,8 +65,7 @@ class Sampler(threading.Thread):
                 if self._run.watch is None:  # the ticks have not begun
                     began = time.monotonic()
                     continue
-                pids = {n: p.pid for n, p in self._run.processes.processes.items() if p.poll() is None}
-                for name, pid in {**pids, "experiment": os.getpid()}.items():
+                for name, pid in {**self._run.processes.pids(), "experiment": os.getpid()}.items():
                     try:
                         rows.writerow((round(time.monotonic() - began, 1), name, memory_kb(pid)))
                     except OSError:  # it has just ended

@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 import gc
+import os
 import signal
 import sys
 import threading
@@ -13,6 +14,7 @@ from abc import abstractmethod
 from collections.abc import Callable
 from itertools import chain
 from math import isfinite
+from pathlib import Path
 from typing import Any
 
 import rclpy
@@ -36,6 +38,8 @@ from ftcm_ros.topics import DIAGNOSTICS, Topic
 
 POLL_NS = NANOSECONDS // 50
 """How often a waiting node looks at other things, ns."""
+HEARTBEAT = os.environ.get("FTCM_HEARTBEAT")
+"""File to touch with every report, for a health check from outside; none by default."""
 MATCH_TIMEOUT = 20.0
 """How long a node waits at activation for the suite's other nodes, s."""
 STOP_LIMIT = 30
@@ -276,6 +280,8 @@ class SuiteNode(LifecycleNode):
         array = DiagnosticArray(status=[status])
         array.header.stamp = self.get_clock().now().to_msg()
         self._report(array)
+        if HEARTBEAT:
+            Path(HEARTBEAT).touch()
 
 
 class ExecutionTimes:

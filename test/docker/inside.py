@@ -1,0 +1,60 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What tests do in a container: where the nodes' own Python and mathematical library are."""
+
+from __future__ import annotations
+
+import json
+import sys
+import time
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import rclpy
+from rcl_interfaces.srv import SetParameters
+from rclpy.parameter import Parameter
+
+from ftcm_core.simulation import simulate
+from ftcm_core.trace import COLUMNS
+from ftcm_ros.bag import read_bag
+
+
+def compare(path: str) -> dict[str, Any]:
+    """What a bag holds, and which columns differ from the in-process run as far as it goes."""
+    bag = read_bag(Path(path))
+    trace = bag.trace
+    again = simulate(trace.scenario, trace.changes)
+    ticks = trace.ticks
+    return {
+        "ticks": ticks,
+        "status": trace.status,
+        "missing": bag.missing,
+        "differing": [c for c in COLUMNS if not np.array_equal(getattr(trace, c), getattr(again, c)[:ticks])],
+        "changes": [[c.kind, c.component.type_name, c.tick] for c in trace.changes],
+        "plant": bag.nodes.get("plant", {}),
+        "revision": json.loads(bag.metadata.get("provenance", "{}")).get("revision"),
+        "held": int((trace.effort[1:] != trace.command[:-1]).any(axis=1).sum()),
+        "topics": json.loads(bag.metadata.get("topics", "{}")),
+    }
+
+
+def change(node_name: str, name: str, value: str) -> dict[str, Any]:
+    """Set a parameter of a node, as `ros2 param set` does."""
+    rclpy.init()
+    node = rclpy.create_node("test")
+    client = node.create_client(SetParameters, f"/{node_name}/set_parameters")
+    assert client.wait_for_service(timeout_sec=30)
+    request = SetParameters.Request(parameters=[Parameter(name, value=value).to_parameter_msg()])
+    end = time.monotonic() + 30
+    future = None
+    while time.monotonic() < end:  # an answer is dropped before the server has discovered the client
+        future = client.call_async(request)
+        rclpy.spin_until_future_complete(node, future, timeout_sec=2)
+        if future.done():
+            break
+    (result,) = future.result().results
+    return {"successful": result.successful, "reason": result.reason}
+
+
+if __name__ == "__main__":
+    print(json.dumps({"compare": compare, "change": change}[sys.argv[1]](*sys.argv[2:])))
