@@ -274,8 +274,9 @@ def run_experiment(options: argparse.Namespace) -> int:
         folder.mkdir(parents=True)
     except FileExistsError:
         raise FtcmError(f"run {str(folder)!r} exists already; choose another --name or remove it") from None
-    except OSError as error:
-        raise FtcmError(f"run {str(folder)!r} cannot be made: {error.strerror or error}") from None
+    except (OSError, ValueError) as error:  # ValueError: a name that no file can have
+        reason = getattr(error, "strerror", None) or error
+        raise FtcmError(f"run {str(folder)!r} cannot be made: {reason}") from None
     domain = Domain(options.domain_id)
     os.environ.update(ROS_DOMAIN_ID=str(domain.number), ROS_AUTOMATIC_DISCOVERY_RANGE="LOCALHOST")
     os.environ["ROS_LOG_DIR"] = str((folder / "logs").resolve())

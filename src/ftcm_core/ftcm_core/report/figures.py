@@ -251,6 +251,7 @@ def _curves(traces: Sequence[Run], column: Callable[[Trace], Array], joint: int)
 
 
 def _name(label: str, trace: Trace) -> str:
+    label = "".join(c if c.isprintable() else "?" for c in label).replace("$", r"\$")  # text, not formulas
     return label if trace.status == "completed" else f"{label} ({trace.status})"
 
 
