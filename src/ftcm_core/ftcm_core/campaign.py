@@ -12,6 +12,7 @@ import copy
 import importlib.util
 import json
 import math
+import os
 import re
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
@@ -249,20 +250,20 @@ def from_file(source: str) -> Campaign:
     data = {k: v for k, v in data.items() if k != "name" and v is not None}
     for key in data:
         if key not in known:
-            raise FtcmError(f"{origin}: {shown(key)}: unknown key; {suggestion(str(key), known)}")
+            raise FtcmError(f"{origin}: {shown(key)}: unknown key; {suggestion(shown(key), known)}")
     vary = data.get("vary", {})
-    if not isinstance(vary, dict) or not all(isinstance(v, str) for v in vary.values()):
+    if not isinstance(vary, dict) or not all(isinstance(x, str) for v in vary.items() for x in v):
         raise FtcmError(f"{origin}: vary: expected a mapping of paths to distributions, e.g. uniform(1, 2)")
     for key in ("set", "controllers"):
         if not isinstance(data.get(key, []), list) or not all(isinstance(v, str) for v in data.get(key, [])):
             raise FtcmError(f"{origin}: {key}: {shown(data[key])} is not a list of texts")
-    scenario = data["scenario"]
+    scenario = data.get("scenario")
     if not isinstance(scenario, str):
         raise FtcmError(f"{origin}: scenario: {shown(scenario)} is not a path or name")
     beside = Path(source).parent / scenario
     try:
         return Campaign(
-            source=str(beside) if beside.is_file() else scenario,
+            source=str(beside) if os.path.isfile(beside) else scenario,
             runs=data.get("runs", 100),
             seed=data.get("seed", 0),
             variations=tuple(parse_variation(f"{path}={text}") for path, text in vary.items()),

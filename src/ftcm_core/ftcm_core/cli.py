@@ -171,7 +171,7 @@ def _simulate(arguments: argparse.Namespace) -> int:
         find("observer", arguments.observer)
         overrides.insert(0, f"observer.type={arguments.observer}")
     scenario = load(sources[0], overrides, arguments.controller)
-    folder = new_folder(arguments.output) if arguments.output else None
+    folder = new_folder(arguments.output) if arguments.output is not None else None
     label = scenario.controller.type_name
     _warn([(label, scenario)])
     if arguments.engine == "compiled":
@@ -217,7 +217,7 @@ def _reproduce(arguments: argparse.Namespace) -> int:
 
 def _run_all(jobs: Sequence[Job], arguments: argparse.Namespace) -> int:
     """Run jobs in parallel, then print and write their results in the order of the jobs."""
-    folder = new_folder(arguments.output) if arguments.output else None
+    folder = new_folder(arguments.output) if arguments.output is not None else None
     _warn(jobs)
     found: dict[int, tuple[dict[str, Any], Trace | None]] = {}
     for index, outcome in run_parallel(functools.partial(_run_job, keep_trace=folder is not None), jobs):
@@ -268,7 +268,7 @@ def _campaign(arguments: argparse.Namespace) -> int:
     if arguments.jobs is not None and arguments.jobs < 1:
         raise FtcmError(f"--jobs {arguments.jobs}: expected at least 1")
     campaign.chosen_engine(arguments.engine)
-    folder = new_folder(arguments.output) if arguments.output else None
+    folder = new_folder(arguments.output) if arguments.output is not None else None
     summary = campaign.run_campaign(
         planned, engine=arguments.engine, jobs=arguments.jobs, folder=folder, progress=_campaign_progress()
     )

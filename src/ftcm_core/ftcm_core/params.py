@@ -203,7 +203,8 @@ class Parameterised:
         for name, value in self.values.items():
             if isinstance(value, tuple) and len(value) != joints:
                 raise ParameterError(
-                    f"{name}: {list(value)} has {len(value)} entries; expected one per joint ({joints})"
+                    f"{name}: {shown(list(value))} has {len(value)} entries; "
+                    f"expected one per joint ({joints})"
                 )
 
     def for_joint(self, joint: int) -> Any:

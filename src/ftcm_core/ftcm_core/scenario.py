@@ -11,6 +11,7 @@ import copy
 import dataclasses
 import importlib.resources
 import re
+import stat
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any, cast
@@ -32,7 +33,9 @@ from ftcm_core.signals import NANOSECONDS, Vector
 from ftcm_core.stages import SPEED_LIMIT, ControllerStage, InjectorStage, ObserverStage, PlantStage
 
 MAX_TICKS = 10_000_000
-MAX_FILE_BYTES = 1_000_000
+MAX_FILE_BYTES = 100_000
+MAX_MERGED = 10_000
+"""Entries that the merge keys (``<<``) of one file may bring in."""
 _COMPONENTS = {
     "robot": "robot", "reference": "reference", "controller": "controller", "observer": "observer",
     "sensor": "sensor",
@@ -269,7 +272,12 @@ def replace(scenario: Scenario, **changes: Any) -> Scenario:
 
 
 class _Loader(yaml.SafeLoader):
-    """Safe YAML; reads ``1e4`` as a number (YAML 1.2) and refuses a key given twice."""
+    """Safe YAML; reads ``1e4`` as a number (YAML 1.2).
+
+    Refuses a key given twice, numbers that YAML 1.1 and 1.2 read differently, and merge keys that multiply.
+    """
+
+    merged = 0
 
     def construct_mapping(self, node: yaml.MappingNode, deep: bool = False) -> dict[Any, Any]:
         seen = set()
@@ -280,6 +288,33 @@ class _Loader(yaml.SafeLoader):
                 )
             seen.add(key.value if isinstance(key, yaml.ScalarNode) else id(key))
         return super().construct_mapping(node, deep)
+
+    def flatten_mapping(self, node: yaml.MappingNode) -> None:
+        merges = [value for key, value in node.value if key.tag == "tag:yaml.org,2002:merge"]
+        for merge in merges:
+            for part in merge.value if isinstance(merge, yaml.SequenceNode) else [merge]:
+                if isinstance(part, yaml.MappingNode):
+                    self.flatten_mapping(part)
+                    self.merged += len(part.value)
+                if self.merged > MAX_MERGED:
+                    raise yaml.constructor.ConstructorError(
+                        None, None, f"merge keys bring in more than {MAX_MERGED} entries", node.start_mark
+                    )
+        super().flatten_mapping(node)
+
+    def construct_number(self, node: yaml.ScalarNode) -> int | float:
+        text = node.value.lstrip("+-")
+        if ":" in text or re.fullmatch("0[0-7_]+", text):
+            raise yaml.constructor.ConstructorError(
+                None, None, f"{shown(node.value)} is a number in base {60 if ':' in text else 8} to some; "
+                "write it in base 10", node.start_mark,
+            )  # fmt: skip
+        whole = node.tag.endswith(":int")
+        return self.construct_yaml_int(node) if whole else self.construct_yaml_float(node)
+
+
+for _tag in ("int", "float"):
+    _Loader.add_constructor(f"tag:yaml.org,2002:{_tag}", _Loader.construct_number)
 
 
 class _Dumper(yaml.SafeDumper):
@@ -372,9 +407,13 @@ def read_mapping(source: str) -> tuple[dict[str, Any], dict[str, int], str]:
     shipped = shipped_scenarios()
     path = shipped[source] if source in shipped and not Path(source).is_file() else Path(source)
     try:
-        if path.stat().st_size > MAX_FILE_BYTES:
+        if not stat.S_ISREG(path.stat().st_mode):  # a pipe or a device may have no end
+            raise ScenarioError(f"{shown(source)} cannot be read: not a regular file; expected a scenario")
+        with path.open("rb") as file:
+            raw = file.read(MAX_FILE_BYTES + 1)
+        if len(raw) > MAX_FILE_BYTES:
             raise ScenarioError(f"{path}: larger than {MAX_FILE_BYTES} bytes; expected a scenario file")
-        text = path.read_text(encoding="utf-8")
+        text = raw.decode()
     except FileNotFoundError:
         raise ScenarioError(
             f"no scenario file {shown(source)}; expected a path or the name of a shipped scenario; "
@@ -471,6 +510,8 @@ def from_mapping(
     Raises:
         ScenarioError: in one line: place, value, what was expected, a suggestion.
     """
+    if not isinstance(data, Mapping):
+        raise ScenarioError(f"{origin}: {shown(data)} is not a mapping with keys such as robot, controller")
     rest = dict(data)
     places = places or {}
 
@@ -486,7 +527,7 @@ def from_mapping(
             if key not in known:
                 name = key if isinstance(key, str) and len(key) <= 60 else shown(key)
                 inner = f"{path}.{name}" if path else name
-                raise fail(inner, f"unknown key; {suggestion(str(key), known)}")
+                raise fail(inner, f"unknown key; {suggestion(name, known)}")
 
     def record(cls: type[Any], mapping: Mapping[str, Any], path: str, **more: Any) -> Any:
         try:
@@ -536,7 +577,8 @@ def from_mapping(
     injection = mapping_at("injection")
     check_keys(injection, "injection", list(_LISTS))
     for key, kind in _LISTS.items():
-        entries = injection.get(key) or []
+        entries = injection.get(key)
+        entries = [] if entries is None else entries
         if not isinstance(entries, list):
             raise fail(f"injection.{key}", f"{shown(entries)} is not a list of components")
         parts[key] = tuple(component(v, f"injection.{key}.{i}", kind) for i, v in enumerate(entries))

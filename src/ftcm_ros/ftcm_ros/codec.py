@@ -15,6 +15,7 @@ from typing import Any, NamedTuple
 import numpy as np
 import numpy.typing as npt
 
+from ftcm_core.errors import shown
 from ftcm_core.signals import NANOSECONDS, Vector
 
 JOINT_STATE = "sensor_msgs/msg/JointState"
@@ -97,7 +98,7 @@ class Layout:
     def decode(self, data: bytes) -> JointSample | None:
         """Decode a message of exactly this layout; None if it is not one."""
         fields = self.struct.unpack(data)
-        if fields[0] != _CDR_LITTLE_ENDIAN:
+        if fields[0] != _CDR_LITTLE_ENDIAN or fields[2] >= NANOSECONDS:
             return None
         for index, value in self.constants:
             if fields[index] != value:
@@ -165,9 +166,9 @@ class JointStateCodec:
         time_ns, names, position, velocity, effort = read_joint_state(data)
         missing = [name for name in self.joint_names if name not in names]
         if missing:
-            raise CodecError(f"joints {missing} are missing; the message names {names}")
+            raise CodecError(f"joints {shown(missing)} are missing; the message names {shown(names)}")
         if len(set(names)) < len(names):
-            raise CodecError(f"a joint is named twice: {names}")
+            raise CodecError(f"a joint is named twice: {shown(names)}")
         order = [names.index(name) for name in self.joint_names]
 
         def pick(array: Vector, what: str) -> Vector:
@@ -223,6 +224,9 @@ def read_joint_state(data: bytes) -> tuple[int, list[str], Vector, Vector, Vecto
         if data[:4] not in (_CDR_LITTLE_ENDIAN, b"\0\0\0\0"):
             raise CodecError(f"not a {JOINT_STATE} in plain CDR: begins with {data[:4].hex()}")
         time_ns = stamp_of(data)
+        nanosec = struct.unpack_from(order + "I", data, 8)[0]
+        if nanosec >= NANOSECONDS:
+            raise CodecError(f"the stamp has {nanosec} nanoseconds; expected less than {NANOSECONDS}")
         offset += 8
         text()  # frame_id
         names = [text() for _ in range(count(4))]
@@ -232,7 +236,13 @@ def read_joint_state(data: bytes) -> tuple[int, list[str], Vector, Vector, Vecto
 
 
 def stamp_of(data: bytes) -> int:
-    """Stamp of a serialized message that begins with a ``std_msgs/Header``, ns."""
+    """Stamp of a serialized message that begins with a ``std_msgs/Header``, ns.
+
+    Raises:
+        CodecError: the message is too short to have one.
+    """
+    if len(data) < 12:
+        raise CodecError(f"no stamp in a message of {len(data)} bytes")
     order = "<" if data[1:2] == b"\x01" else ">"
     sec, nanosec = struct.unpack_from(order + "iI", data, 4)
     return int(sec) * NANOSECONDS + int(nanosec)

@@ -322,8 +322,9 @@ def run_experiment(options: argparse.Namespace) -> int:
         folder.mkdir(parents=True)
     except FileExistsError:
         raise FtcmError(f"run {str(folder)!r} exists already; choose another --name or remove it") from None
-    except OSError as error:
-        raise FtcmError(f"run {str(folder)!r} cannot be made: {error.strerror or error}") from None
+    except (OSError, ValueError) as error:  # ValueError: a name that no file can have
+        reason = getattr(error, "strerror", None) or error
+        raise FtcmError(f"run {str(folder)!r} cannot be made: {reason}") from None
     domain = AmbientDomain(options.domain_id) if options.external_nodes else Domain(options.domain_id)
     network = use_domain(domain, folder)
     say(f"run {folder}: {', '.join(labels)} in {options.mode}, ROS_DOMAIN_ID={domain.number} {network}")

@@ -89,7 +89,6 @@ class ComponentParameters:
                     key, list(value) if isinstance(value, tuple) else value, descriptor(spec)
                 )
         self.component = self._build({}, everything=True)
-        self.component.check_joints(joints)
         node.add_on_set_parameters_callback(self._validate)
         node.add_post_set_parameters_callback(self._apply)
 
@@ -111,6 +110,7 @@ class ComponentParameters:
             cls = find(self.kind, name)
             try:
                 built[name] = cls(**{s.name: value(f"{name}.{s.name}") for s in specs(cls).values()})
+                built[name].check_joints(self._joints)
             except FtcmError as error:
                 raise FtcmError(f"{name}.{error}") from None
         return built[chosen]
@@ -122,7 +122,7 @@ class ComponentParameters:
         changes = self._mine(parameters)
         if changes:
             try:
-                self._build(changes).check_joints(self._joints)
+                self._build(changes)
             except FtcmError as error:
                 return SetParametersResult(successful=False, reason=str(error))
         return SetParametersResult(successful=True)

@@ -182,7 +182,9 @@ def summary(traces: Sequence[Run]) -> Figure:
     detail(axes[1][1], torques, span)
     axes[0][0].set_title("tracking error: largest |e|, rad")
     axes[0][1].set_title("torque command, N·m")
-    axes[1][0].set_title("lumped uncertainty Δ, rad/s²" + (f" ({observed[0][0]})" if observed else ""))
+    axes[1][0].set_title(
+        "lumped uncertainty Δ, rad/s²" + (f" ({_plain(observed[0][0])})" if observed else "")
+    )
     axes[1][1].set_title("torque command, detail, N·m")
     axes[1][1].set_xlabel(f"ms after {span[0]:g} s")
     for ax in axes[0]:
@@ -251,7 +253,13 @@ def _curves(traces: Sequence[Run], column: Callable[[Trace], Array], joint: int)
 
 
 def _name(label: str, trace: Trace) -> str:
+    label = _plain(label)
     return label if trace.status == "completed" else f"{label} ({trace.status})"
+
+
+def _plain(label: str) -> str:
+    """Return a label, which may be anything, as one line without formulas."""
+    return "".join(c if c.isprintable() else "?" for c in label).replace("$", r"\$")
 
 
 def _estimate_curves(trace: Trace, joint: int) -> list[Curve]:

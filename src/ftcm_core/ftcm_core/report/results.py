@@ -39,10 +39,10 @@ def new_folder(path: str | Path) -> Path:
     folder = Path(path)
     try:
         folder.mkdir(parents=True)
-    except OSError as error:
+    except (OSError, ValueError) as error:  # ValueError: a name that no file can have
         if os.path.lexists(folder):
             raise FtcmError(f"output {str(folder)!r} exists already; choose a new folder") from None
-        reason = error.strerror or str(error)
+        reason = getattr(error, "strerror", None) or str(error)
         raise FtcmError(f"output {str(folder)!r} cannot be made: {reason}; choose another folder") from None
     return folder
 

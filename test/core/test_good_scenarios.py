@@ -1,0 +1,242 @@
+# SPDX-License-Identifier: Apache-2.0
+"""A thousand scenarios whose values are all within their bounds: each runs and ends with a stated status."""
+
+from __future__ import annotations
+
+import json
+import math
+import warnings
+from typing import Any
+
+import numpy as np
+import pytest
+from hypothesis import strategies as st
+
+from ftcm_core import compiled, tracing
+from ftcm_core.errors import ScenarioError
+from ftcm_core.metrics import result
+from ftcm_core.params import ParamSpec, specs
+from ftcm_core.registry import components
+from ftcm_core.report.results import labelled, report, to_json
+from ftcm_core.scenario import InitialState, Scenario, from_mapping, parse_yaml
+from ftcm_core.simulation import Loop, simulate
+from ftcm_core.trace import COLUMNS, MEASURED
+from inputs import NOT_BAD, inputs, promised
+
+JOINTS = 3
+
+
+def number(spec: ParamSpec, bound: float) -> st.SearchStrategy[float]:
+    """A valid number, of a size up to a bound where the parameter has none."""
+    low, high = max(spec.lower, -bound), min(spec.upper, bound)
+    if spec.kind == "int":
+        return st.integers(int(low), int(high))
+    return st.floats(
+        low, high, exclude_min=spec.lower_open, exclude_max=spec.upper_open and high == spec.upper
+    )
+
+
+def value(spec: ParamSpec, bound: float) -> st.SearchStrategy[Any]:
+    """A valid value of a parameter."""
+    if spec.choices:
+        return st.sampled_from(spec.choices)
+    if spec.kind in ("bool", "str"):
+        return st.booleans() if spec.kind == "bool" else st.text(max_size=5)
+    one = number(spec, bound)
+    lists = [st.lists(one, min_size=JOINTS, max_size=JOINTS)] if spec.per_joint else []
+    return st.one_of(one, *lists, *([st.none()] if spec.optional else []))
+
+
+def parameters(cls: type, bound: float) -> st.SearchStrategy[dict[str, Any]]:
+    """Some of a record's parameters, valid one by one."""
+    return st.fixed_dictionaries({}, optional={name: value(spec, bound) for name, spec in specs(cls).items()})
+
+
+def component(kind: str, bound: float) -> st.SearchStrategy[dict[str, Any]]:
+    """Any component of a kind."""
+    return st.one_of(
+        [
+            parameters(cls, bound).map(lambda p, name=name: {"type": name, **p})
+            for name, cls in components(kind).items()
+        ]
+    )
+
+
+def scenarios(
+    bound: float, most: int = 100, **given: st.SearchStrategy[Any]
+) -> st.SearchStrategy[dict[str, Any]]:
+    """Mappings whose values are all within their declared bounds; 20 ticks or more."""
+    parts = {kind: component(kind, bound) for kind in ("robot", "reference", "controller", "observer")}
+    injection = {
+        "disturbances": st.lists(component("disturbance", bound), max_size=2),
+        "faults": st.lists(component("fault", bound), max_size=2),
+    }
+    more = {
+        "name": st.text(max_size=20),
+        "sensor": component("sensor", bound),
+        "initial_state": parameters(InitialState, bound),
+        "injection": st.fixed_dictionaries({}, optional=injection),
+        "torque_limits": value(specs(Scenario)["torque_limits"], bound),
+        "torque_delay": st.integers(0, 30),
+        "transient": value(specs(Scenario)["transient"], bound),
+        "seed": st.integers(0, 2**63 - 1),
+    }
+    timing = st.builds(
+        lambda dt, n: {"dt": dt, "duration": dt * n},
+        st.sampled_from([1e-5, 3e-4, 1e-3, 0.1]),
+        st.integers(20, most),
+    )
+    return st.builds(
+        lambda a, b, c: {**a, **b, **c},
+        st.fixed_dictionaries(parts, optional=more),
+        timing,
+        st.fixed_dictionaries(given),
+    )
+
+
+sizes = st.sampled_from([10.0, 10.0, 1e6, 1e300])
+
+
+def made(data: dict[str, Any]) -> Scenario | None:
+    """The scenario; None if values exclude each other, which is said in one line."""
+    try:
+        return from_mapping(data)
+    except ScenarioError as error:
+        message = str(error)
+        assert len(message.splitlines()) == 1
+        assert len(message) < 500
+        return None
+
+
+@inputs(1000, of=1400, data=sizes.flatmap(scenarios))
+def test_every_run_ends_with_a_status(data: dict[str, Any]) -> object:
+    """Completed with all its ticks and finite, or diverged with the time and finite until then.
+
+    The scenario reads back from its own file; the result is JSON; nothing warns.
+    """
+    scenario = made(data)
+    if scenario is None:
+        return NOT_BAD
+    again, _ = parse_yaml(scenario.to_yaml(), "written")
+    assert from_mapping(again) == scenario
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        trace = simulate(scenario)
+        found = labelled("run", trace)
+        tables = report([found])
+    assert trace.status in ("completed", "diverged")
+    if trace.status == "completed":
+        assert trace.ticks == scenario.last_tick + 1
+    else:
+        assert trace.detail.startswith("at t = ")
+        assert len(trace.detail.splitlines()) == 1
+        assert trace.ticks <= scenario.last_tick + 1
+    for name in (*COLUMNS, *([] if scenario.sensor.exact else MEASURED)):
+        column = getattr(trace, name)
+        assert column.shape == (trace.ticks, JOINTS)
+        if name == "disturbance_estimate" and not scenario.controller.needs_observer:
+            continue  # an observer that nothing follows may overflow by itself
+        # The tick that makes a run diverge is recorded as it is.
+        assert np.isfinite(column if trace.status == "completed" else column[:-1]).all(), name
+    assert trace.sliding_variable.shape == (trace.ticks, JOINTS)
+    json.dumps(result(trace), allow_nan=False)
+    json.loads(to_json(found), parse_constant=pytest.fail)
+    assert not [line for line in tables.splitlines() if line.startswith("|") and "nan" in line]
+    return trace
+
+
+def test_most_moderate_scenarios_complete() -> None:
+    """The property above is not empty."""
+    ends: list[str] = []
+
+    @inputs(60, data=scenarios(10.0, most=25))
+    def run(data: dict[str, Any]) -> None:
+        scenario = made(data)
+        ends.append(simulate(scenario).status if scenario else "refused")
+
+    run()
+    assert ends.count("completed") > len(ends) / 2
+
+
+@inputs(40, of=120, data=scenarios(10.0, most=40))
+def test_the_written_tick_is_the_plain_one(data: dict[str, Any]) -> object:
+    """What a compiled run compiles, run by Python itself: bit for bit the plain run, until it hands back."""
+    scenario = made(data)
+    if scenario is None:
+        return NOT_BAD
+    loop, plain = Loop(scenario), Loop(scenario)
+    rows: list[list[float]] = []
+    for k in range(3):
+        if plain.tick(k * scenario.dt_ns, False, lambda row: None):
+            return NOT_BAD
+        loop.tick(k * scenario.dt_ns, False, lambda row: None)
+    try:
+        tracer, text = compiled.write(loop)
+    except (tracing.NotTraceable, ArithmeticError):  # such a run is a plain one
+        return NOT_BAD
+    names: dict[str, Any] = {name: function for function, name in tracer.leaves.items()} | {"math": math}
+    exec(text, names)
+    known: dict[Any, Any] = {}
+    parameters = [tracing.look_up(loop, steps, known) for steps in tracer.slots]
+    if not all(isinstance(x, float) for x in parameters):
+        return NOT_BAD
+    written: dict[tuple[int, int], float] = {}
+    state = list(compiled.flat(loop))
+    try:
+        reached = names["ticks"](parameters, state, 3, scenario.last_tick, scenario.dt_ns, written)
+    except (ArithmeticError, ValueError):  # found again, and stated, by the plain run
+        return NOT_BAD
+    for k in range(3, reached):
+        assert not plain.tick(k * scenario.dt_ns, False, lambda row: rows.append(list(row)))
+    width = len(rows[0]) if rows else 0
+    assert [[written[k, i] for i in range(width)] for k in range(3, reached)] == rows
+    if reached < scenario.last_tick:  # it hands back a tick that it does not cover
+        return rows or NOT_BAD
+    assert state == list(compiled.flat(plain))
+    return rows
+
+
+fixed = {
+    "robot": st.just("puma560"),
+    "observer": st.builds(
+        lambda k1, k2: {"type": "do", "k1": k1, "k2": k2}, st.floats(10.0, 1e5), st.floats(1.0, 500.0)
+    ),
+    "controller": st.builds(
+        lambda c, u: {"type": "ftcm", "gamma1": c, "upsilon1": u}, st.floats(0.1, 10.0), st.floats(0.1, 50.0)
+    ),
+    "reference": st.just("vo_kang_cosine"),
+    "sensor": st.just("ideal"),
+    "dt": st.just(1e-3),
+    "duration": st.integers(20, 60).map(lambda n: n * 1e-3),
+    "torque_limits": st.none(),
+    "torque_delay": st.just(0),
+    "injection": st.floats(0.0, 0.05).map(
+        lambda t: {"disturbances": ["vo_kang_friction"], "faults": [{"type": "vo_kang_fault", "start": t}]}
+    ),
+    "initial_state": st.builds(
+        lambda q, v: {"position": [*q], "velocity": [*v]}, *[st.tuples(*[st.floats(-1.0, 1.0)] * JOINTS)] * 2
+    ),
+}
+
+
+@pytest.mark.slow
+def test_compiled_runs_are_the_plain_ones(tmp_path_factory: Any, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Two dozen scenarios of one structure, compiled once."""
+    pytest.importorskip("numba")
+    monkeypatch.setenv(compiled.CACHE, str(tmp_path_factory.mktemp("compiled")))
+
+    @inputs(24, data=scenarios(10.0, **fixed))
+    def run(data: dict[str, Any]) -> None:
+        scenario = from_mapping(data)
+        trace, plain = compiled.simulate(scenario), simulate(scenario)
+        assert trace.engine == "compiled"
+        assert (trace.status, trace.ticks) == (plain.status, plain.ticks)
+        for name in COLUMNS:
+            np.testing.assert_allclose(getattr(trace, name), getattr(plain, name), rtol=1e-6, atol=1e-6)
+
+    run()
+
+
+def test_a_thousand_good_scenarios() -> None:
+    """The tests above fail if they have had fewer than they say."""
+    assert promised(globals()) >= 1000
