@@ -452,6 +452,7 @@ def run(factory: Callable[[], SuiteNode]) -> int:
         print(f"{where}: {text}", file=sys.stderr)
         return 1
     finally:
+        scheduling.release()  # leaving the graph, the middleware spins
         if node is not None:
             node.plane.stop()
             node.destroy_node()
