@@ -98,8 +98,8 @@ docs: build ## Write what is generated: the reference pages in docs/ and the SRO
 	    python -m ftcm_ros.security config/security/
 
 .PHONY: bench
-bench: test-env build ## Measure rates, latencies, real time and the core; minutes, on an otherwise idle machine
-	@$(call source,.venv,); python -m ftcm_core.benchmark && python -m ftcm_ros.benchmark $(ARGS)
+bench: test-env build ## Measure rates, latencies, real time and the core into docs/measured.md; minutes, on an idle machine
+	@$(call source,.venv,); python -m ftcm_ros.benchmark --core --output docs/measured.md $(ARGS)
 
 .PHONY: soak
 soak: build ## Run an hour in real time: no tick lost, no process growing; ARGS='--minutes 5' for less

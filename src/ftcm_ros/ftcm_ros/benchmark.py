@@ -26,11 +26,13 @@ import rclpy
 from rclpy.node import Node
 from rclpy.signals import SignalHandlerOptions
 
+from ftcm_core import benchmark as core
 from ftcm_core.errors import FtcmError
 from ftcm_ros.bag import read_bag
 from ftcm_ros.codec import JointStateCodec
 from ftcm_ros.dataplane import DataPlane
 from ftcm_ros.domain import Domain
+from ftcm_ros.network import set_defaults
 from ftcm_ros.topics import DISTURBANCE, ESTIMATE, JOINT_STATES, TORQUES
 
 CHAIN = {
@@ -63,15 +65,15 @@ def experiment(folder: Path, name: str, *arguments: str) -> dict[str, Any]:
 def relay(name: str) -> None:
     """One hop of the bare chain: pass the same bytes on, without decoding or work."""
     rclpy.init(signal_handler_options=SignalHandlerOptions.NO)
-    plane = DataPlane(Node(f"bare_{name}"), "waitset")
+    plane = DataPlane(Node(f"bare_{name}"), "listener")
     source, target = CHAIN[name]
     publish = plane.publisher(target)
     plane.subscribe(source, lambda data, _: publish(data))
     plane.open()
-    plane.start()
     end = time.monotonic() + STAGE_SECONDS
-    while time.monotonic() < end:
-        plane.poll(10**8)
+    with plane.turn:
+        while time.monotonic() < end:
+            plane.poll(10**8)
 
 
 def bare_chain(ticks: int) -> tuple[float, float]:
@@ -83,30 +85,42 @@ def bare_chain(ticks: int) -> tuple[float, float]:
     rclpy.init(signal_handler_options=SignalHandlerOptions.NO)
     node = Node("bare_plant")
     try:
-        plane = DataPlane(node, "waitset")
+        plane = DataPlane(node, "listener")
         publish = plane.publisher(JOINT_STATES)
-        arrived: list[int] = []
-        plane.subscribe(DISTURBANCE, lambda data, _: arrived.append(time.monotonic_ns()))
-        plane.open()
-        plane.start()
         data = JointStateCodec(("joint1", "joint2", "joint3")).state.encode(0, *((0.0,) * 3,) * 3)
-        end = time.monotonic() + 20.0
-        while not arrived:  # until the chain is matched all round
-            if time.monotonic() > end:
-                raise FtcmError("the bare chain did not come up within 20 s")
-            publish(data)
-            plane.poll(10**8)
-        plane.collect(0.5)
-        latencies = []
-        begin = time.monotonic()
-        for _ in range(ticks):
-            arrived.clear()
+        latencies: list[int] = []
+        sent = 0
+
+        def send() -> None:
+            nonlocal sent
             sent = time.monotonic_ns()
             publish(data)
-            while not arrived:
-                plane.poll(10**9)
-            latencies.append(arrived[0] - sent)
-        rate = ticks / (time.monotonic() - begin)
+
+        def arrived(message: bytes, published_ns: int) -> None:
+            latencies.append(time.monotonic_ns() - sent)
+            if measuring and len(latencies) < ticks:
+                send()
+
+        measuring = False
+        plane.subscribe(DISTURBANCE, arrived)
+        plane.open()
+        with plane.turn:
+            end = time.monotonic() + 20.0
+            while not latencies:  # until the chain is matched all round
+                if time.monotonic() > end:
+                    raise FtcmError("the bare chain did not come up within 20 s")
+                send()
+                plane.poll(10**8)
+            plane.poll(10**9)
+            latencies.clear()
+            measuring = True
+            begin = time.monotonic()
+            send()
+            while len(latencies) < ticks:
+                plane.poll(10**7)
+                if time.monotonic() > begin + STAGE_SECONDS:
+                    raise FtcmError(f"the bare chain stopped after {len(latencies)} ticks")
+            rate = ticks / (time.monotonic() - begin)
         plane.stop()
         return rate, statistics.median(latencies) / 1000.0
     finally:
@@ -133,8 +147,14 @@ def spread(values: Sequence[float], digits: int = 0) -> str:
     return f"{statistics.median(values):,.{digits}f} ({min(values):,.{digits}f}–{max(values):,.{digits}f})"
 
 
+def error_ratio(summary: dict[str, Any], lockstep: dict[str, Any]) -> float:
+    """Largest ratio over the joints of the mean tracking errors of two runs of equal length."""
+    pairs = zip(*(s["results"][0]["metrics"]["whole"]["mean_abs_error"] for s in (summary, lockstep)))
+    return max(a / b for a, b in pairs)
+
+
 def measure(repetitions: int, seconds: float) -> list[tuple[str, str]]:
-    """Measure all rows; return what and how much."""
+    """Measure all rows of the graph; return what and how much."""
     rows: list[tuple[str, str]] = []
 
     def say(text: str) -> None:
@@ -151,7 +171,7 @@ def measure(repetitions: int, seconds: float) -> list[tuple[str, str]]:
         read: list[float] = []
         for i in range(repetitions):
             say(f"lockstep, repetition {i + 1} of {repetitions}")
-            run = experiment(folder, f"waitset{i}", "--set", "duration=10")
+            run = experiment(folder, f"listener{i}", "--set", "duration=10")
             fast.append(run["timing"]["ftcm"]["ticks_per_second"])
             start.append(run["timing"]["ftcm"]["start_seconds"])
             latency.append(run["timing_us"]["ftcm"]["chain"]["p50"])
@@ -174,12 +194,15 @@ def measure(repetitions: int, seconds: float) -> list[tuple[str, str]]:
             ("start of the graph to its first tick, s", spread(start, 2)),
             ("reading a 40 s bag, s (scaled from 10 s)", spread(read, 2)),
         ]
+        length = ("--set", f"duration={seconds:g}")
+        lockstep = experiment(folder, "lockstep", *length)
         variants: dict[str, tuple[tuple[str, ...], Any]] = {
             "ordinary scheduling": ((), contextlib.nullcontext),
             "SCHED_FIFO": (("--priority", "50", "--lock-memory"), contextlib.nullcontext),
             "one core kept busy": ((), busy_core),
         }
         shares: dict[str, list[float]] = {v: [] for v in variants}
+        errors: dict[str, list[float]] = {v: [] for v in variants}
         details: dict[str, list[str]] = {v: [] for v in variants}
         for i in range(repetitions):
             for variant, (arguments, load) in variants.items():
@@ -187,11 +210,12 @@ def measure(repetitions: int, seconds: float) -> list[tuple[str, str]]:
                 with load():
                     run = experiment(
                         folder, f"rt{len(shares[variant])}{variant.replace(' ', '')}",
-                        "--mode", "real_time", "--set", f"duration={seconds:g}", *arguments,
+                        "--mode", "real_time", *length, *arguments,
                     )  # fmt: skip
                 nodes = run["timing"]["ftcm"]["nodes"]
                 plant = nodes["plant"]
                 shares[variant].append(100.0 * int(plant["missed_deadlines"]) / int(plant["ticks"]))
+                errors[variant].append(error_ratio(run, lockstep))
                 cpu = sum(float(n["cpu_seconds"]) for n in nodes.values()) / seconds
                 causes = ", ".join(
                     f"{c} {plant[c]}" for c in ("late_torque", "late_disturbance", "plant_overrun")
@@ -200,6 +224,9 @@ def measure(repetitions: int, seconds: float) -> list[tuple[str, str]]:
         for variant in variants:
             rows.append(
                 (f"real time {seconds:g} s, {variant}: deadlines missed, %", spread(shares[variant], 2))
+            )
+            rows.append(
+                (f"real time, {variant}: tracking error, times that of lockstep", spread(errors[variant], 2))
             )
             rows.append(
                 (f"real time, {variant}: causes and processors of each run", " / ".join(details[variant]))
@@ -212,10 +239,12 @@ def main(argv: list[str] | None = None) -> int:
     parser = argparse.ArgumentParser(prog="ftcm_ros.benchmark", description=__doc__)
     parser.add_argument("--repetitions", type=int, default=3)
     parser.add_argument("--seconds", type=float, default=20.0, help="length of the real-time runs, s")
-    parser.add_argument("--output", type=Path, help="also write the table to this file")
+    parser.add_argument("--core", action="store_true", help="measure the library without ROS, too")
+    parser.add_argument("--output", type=Path, help="also write the results to this file, as a page")
     options = parser.parse_args(argv)
     domain = Domain()
-    os.environ.update(ROS_DOMAIN_ID=str(domain.number), ROS_AUTOMATIC_DISCOVERY_RANGE="LOCALHOST")
+    os.environ["ROS_DOMAIN_ID"] = str(domain.number)
+    set_defaults()
     before = os.getloadavg()[0]
     try:
         rows = measure(options.repetitions, options.seconds)
@@ -233,10 +262,16 @@ def main(argv: list[str] | None = None) -> int:
         "|---|---|",
         *(f"| {what} | {value} |" for what, value in rows),
     ]
+    if options.core:
+        print("  the library ...", file=sys.stderr, flush=True)
+        lines += ["", "The library without ROS:", "", "```", core.text(core.measure()), "```"]
     text = "\n".join(lines) + "\n"
     print(text, end="")
     if options.output:
-        options.output.write_text(text, encoding="utf-8")
+        page = (
+            f"# Measured\n\nWritten by `make bench`. What the rows mean: [real time](real_time.md).\n\n{text}"
+        )
+        options.output.write_text(page, encoding="utf-8")
     return 0
 
 
