@@ -257,7 +257,7 @@ def test_a_container_that_fails_ends_the_run_and_is_named(up: Up, victim: str, f
     if fault == "pause":
         docker("unpause", container)
     project.compose("stop")
-    if (victim, fault) != ("recorder", "kill"):
+    if (victim, fault) != ("recorder", "kill"):  # what that keeps: test/ros/test_recovery.py
         bag = project.bag()
         assert bag["status"] == "incomplete"
         assert bag["ticks"] > 500

@@ -164,7 +164,7 @@ def test_a_fault_ends_its_run_only(
         log = (folder / "logs" / fault.controller / f"{fault.node}.log").read_text()
         assert ("Traceback" in log) == (fault.kind == "exception")
         if fault.node == "recorder" and fault.kind == "SIGKILL":
-            continue
+            continue  # what is kept: test_recovery.py
         bag = read_bag(folder / "bags" / fault.controller)
         if fault.node == "recorder" and fault.kind == "exception":  # all it had written, that message too
             assert sum(map(len, bag.stamps.values())) == 5 * tick + 1
