@@ -120,3 +120,10 @@ def test_where_the_middleware_has_no_such_thread_a_wait_set_is_used(
             plane.poll(10**7)
     plane.stop()
     assert threads == [threading.get_ident()]
+
+
+@pytest.mark.parametrize("path", PATHS)
+def test_nothing_is_served_after_the_stop(node: Node, watcher: Any, path: str) -> None:
+    plane, _ = opened(node, watcher, path, lambda *_: None)
+    plane.stop()
+    assert "services" not in [thread.name for thread in threading.enumerate()]

@@ -123,6 +123,7 @@ class DataPlane:
         """Held by whoever may touch the node's data: by the main thread, except while it polls."""
         self._executor = SingleThreadedExecutor(context=node.context)
         self._thread: threading.Thread | None = None
+        self._serving = True
 
     def subscribe(self, topic: Topic, handler: Handler) -> None:
         """Hand every message of a topic to a handler, serialized, on the main thread, once opened.
@@ -212,7 +213,7 @@ class DataPlane:
 
     def _serve(self) -> None:
         try:
-            while self._node.context.ok():
+            while self._serving and self._node.context.ok():  # a shut-down executor says nothing
                 self._spin(None)
         except (ExternalShutdownException, ShutdownException):
             return
@@ -229,6 +230,7 @@ class DataPlane:
     def stop(self) -> None:
         """Stop serving; the data plane is not used after this."""
         self._ignore()
+        self._serving = False
         self._executor.shutdown(timeout_sec=STOP_SECONDS)
         if self._thread is not None:
             self._thread.join(timeout=STOP_SECONDS)
