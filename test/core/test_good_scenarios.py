@@ -108,7 +108,14 @@ def made(data: dict[str, Any]) -> Scenario | None:
         return None
 
 
-@inputs(1000, of=1400, data=sizes.flatmap(scenarios))
+LINE_BREAK = {
+    "robot": {"type": "puma560"}, "reference": {"type": "vo_kang_cosine"}, "controller": {"type": "ctc"},
+    "observer": {"type": "none"}, "name": "\x85", "dt": 1e-5, "duration": 2.5e-4,
+}  # fmt: skip
+"""Its name did not read back."""
+
+
+@inputs(1000, of=1400, examples=({"data": LINE_BREAK},), data=sizes.flatmap(scenarios))
 def test_every_run_ends_with_a_status(data: dict[str, Any]) -> object:
     """Completed with all its ticks and finite, or diverged with the time and finite until then.
 

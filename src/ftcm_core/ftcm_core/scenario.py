@@ -255,7 +255,11 @@ class Scenario(Parameterised):
     def to_yaml(self) -> str:
         """Return the complete scenario as a file that reads back to an equal scenario."""
         return yaml.dump(
-            self.to_mapping(), Dumper=_Dumper, sort_keys=False, allow_unicode=True, default_flow_style=None
+            self.to_mapping(),
+            Dumper=_Dumper,
+            sort_keys=False,
+            allow_unicode=self.name.isprintable(),
+            default_flow_style=None,
         )
 
 

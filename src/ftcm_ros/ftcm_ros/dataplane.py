@@ -40,7 +40,7 @@ from ftcm_ros.topics import DEPTH, Topic, subscribers
 Handler = Callable[[bytes, int], None]
 """Takes one serialized message and the time it was published (system clock, ns)."""
 
-SWITCH_INTERVAL = 1e-5
+SWITCH_INTERVAL = 1e-4
 """How long a background thread may keep the interpreter from the tick, s."""
 
 STOP_SECONDS = 8.0
