@@ -132,7 +132,7 @@ def bare_chain(ticks: int) -> tuple[float, float]:
 
 
 def holes(seconds: float) -> tuple[float, float]:
-    """What a process that only looks at the clock loses: holes over 0.1 ms per second, and the largest, ms."""
+    """What a process that only looks at the clock loses: holes over 0.1 ms per second, the largest, ms."""
     found = []
     last = begin = time.monotonic_ns()
     while last - begin < seconds * 1e9:
