@@ -142,9 +142,9 @@ def test_a_full_disk_ends_the_run_with_its_reason(
     path = small_disk / "test" / "bags" / "ftcm"
     reason = "No space left on device" if storage == "mcap" else "database or disk is full"
     assert f"bag {str(path)!r} cannot be written: {reason}; every tick up to t = " in said[0]
-    last = err.splitlines()[-1]
-    assert f"recorder: error: {said[0]}" in last
-    assert "results cannot be written" in last
+    run, results = err.splitlines()[-2:]
+    assert f"recorder: error: {said[0]}" in run
+    assert "results cannot be written" in results
     bag = read_bag(path)
     assert equals_the_in_process_run(bag)
     kept = float(said[0].partition("up to t = ")[2].split()[0])

@@ -30,7 +30,7 @@ from ftcm_core.trace import ENDED_EARLY
 from ftcm_ros.bag import BagContents, read_bag
 from ftcm_ros.domain import Domain
 from ftcm_ros.external import AmbientDomain, ExternalNodes
-from ftcm_ros.graph import join_as
+from ftcm_ros.graph import JoinError, join_as
 from ftcm_ros.latency import hop_times, percentiles, write_figure
 from ftcm_ros.lifecycle_client import Managed, drive
 from ftcm_ros.network import set_defaults
@@ -337,6 +337,8 @@ def run_experiment(options: argparse.Namespace) -> int:
             runs.append(run)
             try:
                 run.execute()
+            except JoinError:
+                raise
             except (FtcmError, OSError) as error:
                 failures.append(f"{label}: {error}")
                 say(f"{label}: failed")

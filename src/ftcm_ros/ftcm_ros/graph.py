@@ -17,12 +17,16 @@ from ftcm_core.errors import FtcmError
 from ftcm_ros.network import enclave, secured, set_defaults
 
 
+class JoinError(FtcmError):
+    """ROS cannot start as the environment asks: nothing that uses it can."""
+
+
 @contextlib.contextmanager
 def joining() -> Iterator[None]:
     """Turn ROS's errors while a process joins into the suite's.
 
     Raises:
-        FtcmError: ROS cannot start as the environment asks.
+        JoinError: ROS cannot start as the environment asks.
     """
     try:
         with warnings.catch_warnings():
@@ -36,7 +40,7 @@ def joining() -> Iterator[None]:
                 f"; with ROS_SECURITY_ENABLE=true expected a middleware that has security and, in "
                 f"ROS_SECURITY_KEYSTORE={store!r}, this process's enclave: see docs/security.md"
             )
-        raise FtcmError(f"cannot join the ROS graph: {reason}") from error
+        raise JoinError(f"cannot join the ROS graph: {reason}") from error
 
 
 def join(arguments: Sequence[str] | None = None) -> None:
@@ -46,7 +50,7 @@ def join(arguments: Sequence[str] | None = None) -> None:
         arguments: the command line; None: that of the process.
 
     Raises:
-        FtcmError: ROS cannot start as the environment asks.
+        JoinError: ROS cannot start as the environment asks.
     """
     set_defaults()
     with joining():
@@ -57,7 +61,7 @@ def join_as(name: str) -> Node:
     """Initialise ROS and return an ordinary node of the suite's, with its enclave.
 
     Raises:
-        FtcmError: ROS cannot start as the environment asks.
+        JoinError: ROS cannot start as the environment asks.
     """
     join(["--ros-args", *enclave(name)])
     with joining():
