@@ -143,6 +143,11 @@ def machines() -> Iterator[tuple[Machine, Machine]]:
         for machine in (here, there):
             machine.do("ip", "address", "add", f"{machine.address}/24", "dev", "cable")
             machine.do("ip", "link", "set", "cable", "up")
+        for machine in (
+            here,
+            there,
+        ):  # the kernel takes its time, and what starts earlier overlooks the cable
+            machine.do("sh", "-c", "until ip link show cable | grep -q 'state UP'; do sleep 0.05; done")
         yield here, there
     finally:
         here.close()
