@@ -146,7 +146,7 @@ def machines() -> Iterator[tuple[Machine, Machine]]:
         for machine in (
             here,
             there,
-        ):  # the kernel takes its time, and what starts earlier overlooks the cable
+        ):  # what starts before the kernel says so overlooks it
             machine.do("sh", "-c", "until ip link show cable | grep -q 'state UP'; do sleep 0.05; done")
         yield here, there
     finally:
