@@ -252,7 +252,7 @@ def test_a_container_that_fails_ends_the_run_and_is_named(up: Up, victim: str, f
     assert project.wait() == 1, project.log()
     assert time.monotonic() - began < 60
     log = project.log()
-    assert f"node {victim!r} has said nothing for 5 s at tick" in log.splitlines()[-1]
+    assert f"node {victim!r} has said nothing for 5 s, at tick" in log.splitlines()[-1]
     assert "Traceback" not in log
     if fault == "pause":
         docker("unpause", container)

@@ -94,15 +94,18 @@ def test_messages_come_whole_and_in_order_and_only_while_the_main_thread_polls(
 
 @pytest.mark.parametrize("path", PATHS)
 def test_an_error_in_a_handler_is_raised_where_the_node_polls(node: Node, watcher: Any, path: str) -> None:
+    calls = []
+
     def handler(data: bytes, published_ns: int) -> None:
+        calls.append(data)
         raise ZeroDivisionError("a mistake in a stage")
 
     plane, publisher = opened(node, watcher, path, handler)
-    thread = publish(publisher, range(1))
+    publish(publisher, range(3)).join()
     with plane.turn, pytest.raises(ZeroDivisionError, match="a mistake in a stage"):
         poll_until(plane, lambda: False)
-    thread.join()
     plane.stop()
+    assert len(calls) == 1
 
 
 def test_where_the_middleware_has_no_such_thread_a_wait_set_is_used(

@@ -179,6 +179,8 @@ class DataPlane:
                     ctypes.pythonapi.PyGILState_Ensure()
                     self._thread_state.kept = True
                 with self.turn:
+                    if self._failure is not None:  # the main thread is about to end the node
+                        return
                     try:
                         while (taken := handle.take_message(cls, True)) is not None:
                             callback(*taken)
