@@ -69,3 +69,15 @@ def test_in_lockstep_it_is_the_one_the_plant_waits_for(last: dict[str, int | Non
 )
 def test_in_real_time_it_is_the_first_in_the_tick(last: dict[str, int | None], expected: str) -> None:
     assert culprit_after(False, last) == (expected, "has made no tick for 3 s")
+
+
+def test_of_two_silent_nodes_the_one_whose_process_is_stopped_is_named() -> None:
+    now = 0.0
+    watch = Watch(False, PATIENCE, lambda: now)
+    found = ("", "")
+    while not found[0]:
+        now += 0.1
+        for node in ("plant", "observer", "controller"):
+            watch.hear(node, round(1000 * now))
+        found = watch.culprit(lambda node: node == "recorder")
+    assert found == ("recorder", "has said nothing for 3 s")

@@ -214,7 +214,7 @@ class Run:
                 progress.show(tick, tick / elapsed, missed, final=True)
                 return
             progress.show(tick, rate, missed)
-            name, reason = self.watch.culprit()
+            name, reason = self.watch.culprit(self.processes.is_stopped)
             if name:
                 said = self.health.get(name, {}).get("message", "")
                 raise FtcmError(

@@ -48,6 +48,10 @@ class ExternalNodes:
         """Whether a node may still answer: nobody here knows better."""
         return True
 
+    def is_stopped(self, node: str) -> bool:
+        """Not as far as is known here."""
+        return False
+
     def condition(self, node: str) -> str:
         """Say why no more is known."""
         return "it was started elsewhere"

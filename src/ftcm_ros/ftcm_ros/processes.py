@@ -92,13 +92,17 @@ class NodeProcesses:
         said_why = lines[-1].startswith(f"{node}: ")
         return f"its last words: {' | '.join(lines[-1:] if said_why else lines[-3:])} (log: {log})"
 
-    def condition(self, node: str) -> str:
-        """Say whether a node's process is stopped, as by SIGSTOP or a debugger."""
+    def is_stopped(self, node: str) -> bool:
+        """Whether a node's process is stopped, as by SIGSTOP or a debugger."""
         try:
             stat = Path(f"/proc/{self.pid(node)}/stat").read_text()
         except (OSError, KeyError):
-            return "it has ended"
-        return "its process is stopped" if stat.rpartition(")")[2].split()[0] in "Tt" else "it runs"
+            return False
+        return stat.rpartition(")")[2].split()[0] in "Tt"
+
+    def condition(self, node: str) -> str:
+        """Say what is known of a node's process."""
+        return "its process is stopped" if self.is_stopped(node) else "it runs"
 
     def resume(self) -> None:
         """Let stopped nodes go on: a stopped process can neither finish nor act on a signal."""

@@ -42,8 +42,12 @@ class Watch:
         if ticks != self._ticks[node]:
             self._ticks[node], self._moved[node] = ticks, self._heard[node]
 
-    def culprit(self) -> tuple[str, str]:
-        """Return the node to blame and what it has failed to do; both empty while all is well."""
+    def culprit(self, is_stopped: Callable[[str], bool] = lambda node: False) -> tuple[str, str]:
+        """Return the node to blame and what it has failed to do; both empty while all is well.
+
+        Args:
+            is_stopped: whether a node's process is; it is to blame before one that is held up by it.
+        """
         now = self._clock()
         away, self._looked = now - self._looked, now
         if away > HELD_UP_SECONDS:
@@ -52,6 +56,7 @@ class Watch:
                     times[node] += away
         silent = min(self._heard, key=self._heard.__getitem__)
         if now - self._heard[silent] > self.patience:
+            silent = next((n for n in NODES if is_stopped(n)), silent)
             return silent, f"has said nothing for {self.patience:g} s"
         stalled = [n for n in NODES if now - self._moved[n] > self.patience]
         if stalled and now - min(self._moved.values()) > self.patience + REPORT_SECONDS:
