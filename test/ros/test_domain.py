@@ -87,3 +87,11 @@ def test_a_lock_file_made_just_now_is_left_alone(tmp_path: Path) -> None:
     make(tmp_path, "fastrtps_00000000000000cc")
     assert remove_dead_shared_memory(DOMAIN, tmp_path) == []
     assert len(left(tmp_path)) == 2
+
+
+@pytest.mark.parametrize(("age", "stays"), [(0.0, True), (10.0, False)])
+def test_a_dead_port_of_no_domain_is_removed_once_it_is_old(tmp_path: Path, age: float, stays: bool) -> None:
+    files = {"fastrtps_port7012", "sem.fastrtps_port7012_mutex"}
+    make(tmp_path, *files, age=age)
+    remove_dead_shared_memory(DOMAIN, tmp_path)
+    assert left(tmp_path) == (files if stays else set())

@@ -18,6 +18,8 @@ DOMAINS = range(1, 102)
 """Domain numbers that are safe with Linux's default ports."""
 PORT_BASE, PORT_GAIN = 7400, 250
 """Ports of a domain (DDS-RTPS 9.6.2); Fast DDS names its shared-memory ports alike."""
+SHARED_PORTS = range(7000, PORT_BASE)
+"""Shared-memory ports that Fast DDS gives to processes of any domain, under LOCALHOST."""
 SETTLED_SECONDS = 2.0
 """A lock file younger than this may not be locked yet by the process that has just made it."""
 
@@ -75,7 +77,7 @@ def remove_dead_shared_memory(domain: int, folder: Path = Path("/dev/shm")) -> l
     """Remove Fast DDS's shared-memory files of processes that were killed.
 
     Args:
-        domain: a domain held by the caller: its ports that nobody listens on go.
+        domain: a domain held by the caller: its ports, and those of no domain, that nobody listens on go.
         folder: where shared memory is.
 
     Returns:
@@ -86,13 +88,15 @@ def remove_dead_shared_memory(domain: int, folder: Path = Path("/dev/shm")) -> l
     for path in sorted(folder.glob("*fastrtps_*")):
         port = re.fullmatch(r"(?:sem\.)?fastrtps_port(\d+)(?:_el|_sl|_mutex)?", path.name)
         segment = re.fullmatch(r"fastrtps_([0-9a-f]{16})(?:_el)?", path.name)
-        if port and int(port.group(1)) in ports:
+        if port and (int(port.group(1)) in ports or int(port.group(1)) in SHARED_PORTS):
             locks = [folder / f"fastrtps_port{port.group(1)}{kind}" for kind in ("_el", "_sl")]
         elif segment:
             locks = [folder / f"fastrtps_{segment.group(1)}_el"]
         else:
             continue
         try:
+            if port and int(port.group(1)) in SHARED_PORTS and _is_new(path.stat()):
+                continue  # another domain's process, which has not locked it yet
             if all(_is_free(lock) for lock in locks):
                 path.unlink()
                 removed.append(path.name)
@@ -105,7 +109,7 @@ def _is_free(lock: Path) -> bool:
     """Whether nobody holds a lock file: it is not there, or settled and not locked."""
     try:
         with lock.open("rb") as file:
-            if time.time() - os.fstat(file.fileno()).st_mtime < SETTLED_SECONDS:
+            if _is_new(os.fstat(file.fileno())):
                 return False
             fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
     except FileNotFoundError:
@@ -113,3 +117,7 @@ def _is_free(lock: Path) -> bool:
     except BlockingIOError:
         return False
     return True
+
+
+def _is_new(stat: os.stat_result) -> bool:
+    return time.time() - stat.st_mtime < SETTLED_SECONDS
