@@ -56,22 +56,34 @@ def page() -> str:
     return "\n".join(lines)
 
 
+def write_or_check(module: str, purpose: str | None, name: str, text: str) -> int:
+    """Command line of a module that generates a file: write it, or tell whether it is up to date.
+
+    Args:
+        module: name of the module, for the messages.
+        purpose: what it is for.
+        name: name of the file in the folder.
+        text: what is to be in it.
+
+    Returns:
+        The exit status.
+    """
+    parser = argparse.ArgumentParser(prog=module, description=purpose)
+    parser.add_argument("folder", type=Path)
+    parser.add_argument("--check", action="store_true", help="only tell whether the file is up to date")
+    options = parser.parse_args()
+    file = options.folder / name
+    if not options.check:
+        file.write_text(text, encoding="utf-8")
+    elif not file.is_file() or file.read_text(encoding="utf-8") != text:
+        print(f"{file} is out of date; run: python -m {module} {options.folder}", file=sys.stderr)
+        return 1
+    return 0
+
+
 def main() -> int:
     """Write or check the page."""
-    parser = argparse.ArgumentParser(prog="ftcm_ros.reference", description=__doc__)
-    parser.add_argument("folder", type=Path)
-    parser.add_argument("--check", action="store_true", help="only tell whether the page is up to date")
-    options = parser.parse_args()
-    file = options.folder / PAGE
-    if options.check:
-        if not file.is_file() or file.read_text(encoding="utf-8") != page():
-            print(
-                f"{file} is out of date; run: python -m ftcm_ros.reference {options.folder}", file=sys.stderr
-            )
-            return 1
-        return 0
-    file.write_text(page(), encoding="utf-8")
-    return 0
+    return write_or_check("ftcm_ros.reference", __doc__, PAGE, page())
 
 
 if __name__ == "__main__":

@@ -6,11 +6,10 @@
 
 from __future__ import annotations
 
-import argparse
 import sys
-from pathlib import Path
 from xml.etree import ElementTree
 
+from ftcm_ros.reference import write_or_check
 from ftcm_ros.settings import NODES
 from ftcm_ros.topics import DIAGNOSTICS, TOPICS
 
@@ -92,20 +91,7 @@ def policy() -> str:
 
 def main() -> int:
     """Write or check the policy."""
-    parser = argparse.ArgumentParser(prog="ftcm_ros.security", description=__doc__)
-    parser.add_argument("folder", type=Path)
-    parser.add_argument("--check", action="store_true", help="only tell whether the policy is up to date")
-    options = parser.parse_args()
-    file = options.folder / FILE
-    if options.check:
-        if not file.is_file() or file.read_text(encoding="utf-8") != policy():
-            print(
-                f"{file} is out of date; run: python -m ftcm_ros.security {options.folder}", file=sys.stderr
-            )
-            return 1
-        return 0
-    file.write_text(policy(), encoding="utf-8")
-    return 0
+    return write_or_check("ftcm_ros.security", __doc__, FILE, policy())
 
 
 if __name__ == "__main__":
