@@ -85,6 +85,7 @@ def write_figure(runs: list[tuple[str, dict[str, npt.NDArray[np.float64]]]], fil
         axes.set_yscale("log")
         axes.set_title(titles.get(name, f"hop: {name}"), fontsize=10)
         axes.set_xlabel("µs")
+        axes.tick_params(which="minor", labelbottom=False)
         axes.grid(alpha=0.3)
     first = figure.axes[0]
     first.set_ylabel("share of ticks above")
