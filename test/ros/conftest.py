@@ -26,6 +26,7 @@ except ImportError:  # the test modules skip themselves, with the reason
 
 from ftcm_core.errors import FtcmError
 from ftcm_ros.domain import DOMAINS, PORT_BASE, PORT_GAIN, Domain
+from ftcm_ros.network import PROFILES
 
 HANG_SECONDS = 120.0
 """Generous ceiling that catches hangs."""
@@ -38,6 +39,7 @@ def domain(monkeypatch: pytest.MonkeyPatch) -> int:
     held.release()  # an experiment that is told this number takes it itself
     monkeypatch.setenv("ROS_DOMAIN_ID", str(held.number))
     monkeypatch.setenv("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
+    monkeypatch.setenv("FASTRTPS_DEFAULT_PROFILES_FILE", str(PROFILES))  # else found after up to 3 s
     return held.number
 
 

@@ -289,7 +289,8 @@ def test_strangers_neither_answer_nor_reset_and_are_named(
                     "--domain-id", str(domain), "--set", *overrides)  # fmt: skip
     graph = Graph(watcher, start)
     states = graph.listen("/joint_states")
-    watcher.spin_until(lambda: len(states) > 200, "the run")
+    watcher.spin_until(lambda: len(states) > 200 or process.poll() is not None, "the run")
+    assert process.poll() is None, (len(states), process.communicate())
     node = rclpy.create_node("stranger", context=watcher.context)
     topics = ("joint_states", "disturbance_estimate", "joint_torques", "disturbance", "reference")
     publishers = [node.create_publisher(JointState, name, 10) for name in topics]
