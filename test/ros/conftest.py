@@ -39,7 +39,7 @@ def domain(monkeypatch: pytest.MonkeyPatch) -> int:
     held.release()  # an experiment that is told this number takes it itself
     monkeypatch.setenv("ROS_DOMAIN_ID", str(held.number))
     monkeypatch.setenv("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
-    monkeypatch.setenv("FASTRTPS_DEFAULT_PROFILES_FILE", str(PROFILES))  # else found after up to 3 s
+    monkeypatch.setenv("FASTRTPS_DEFAULT_PROFILES_FILE", str(PROFILES))  # else it is found after up to 3 s
     return held.number
 
 

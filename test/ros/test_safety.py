@@ -283,7 +283,7 @@ def test_strangers_neither_answer_nor_reset_and_are_named(
     start: Start, watcher: Any, tmp_path: Path, domain: int
 ) -> None:
     """Second publishers on every data topic of a lockstep run: it equals the run without them."""
-    overrides = ["duration=3"]
+    overrides = ["duration=6"]
     most = 80
     process = start("experiment", "paper", "--controllers", "ftcm", "--name", "test", "--no-figures",
                     "--domain-id", str(domain), "--set", *overrides)  # fmt: skip

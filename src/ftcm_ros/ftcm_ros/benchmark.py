@@ -18,7 +18,7 @@ import subprocess
 import sys
 import tempfile
 import time
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -28,11 +28,13 @@ from rclpy.signals import SignalHandlerOptions
 
 from ftcm_core import benchmark as core
 from ftcm_core.errors import FtcmError
+from ftcm_ros import scheduling
 from ftcm_ros.bag import read_bag
 from ftcm_ros.codec import JointStateCodec
 from ftcm_ros.dataplane import DataPlane
 from ftcm_ros.domain import Domain
 from ftcm_ros.network import set_defaults
+from ftcm_ros.pacing import RealTime
 from ftcm_ros.topics import DISTURBANCE, ESTIMATE, JOINT_STATES, TORQUES
 
 CHAIN = {
@@ -76,19 +78,30 @@ def relay(name: str) -> None:
             plane.poll(10**8)
 
 
-def bare_chain(ticks: int) -> tuple[float, float]:
-    """Rate (ticks/s) and median latency (µs) of four bare processes passing one message round."""
+@contextlib.contextmanager
+def bare_chain(at_once: int = 0) -> Iterator[tuple[DataPlane, Callable[[], None], list[int]]]:
+    """Four bare processes that pass one message round.
+
+    Args:
+        at_once: so many rounds follow each other by themselves.
+
+    Yields:
+        The first one's data plane, to poll; what sends the message; the latency of each round, ns.
+
+    Raises:
+        FtcmError: they did not find each other.
+    """
     context = multiprocessing.get_context("spawn")
     hops = [context.Process(target=relay, args=(name,), daemon=True) for name in CHAIN]
     for hop in hops:
         hop.start()
     rclpy.init(signal_handler_options=SignalHandlerOptions.NO)
     node = Node("bare_plant")
+    plane = DataPlane(node, "listener")
     try:
-        plane = DataPlane(node, "listener")
         publish = plane.publisher(JOINT_STATES)
         data = JointStateCodec(("joint1", "joint2", "joint3")).state.encode(0, *((0.0,) * 3,) * 3)
-        latencies: list[int] = []
+        rounds: list[int] = []
         sent = 0
 
         def send() -> None:
@@ -97,38 +110,58 @@ def bare_chain(ticks: int) -> tuple[float, float]:
             publish(data)
 
         def arrived(message: bytes, published_ns: int) -> None:
-            latencies.append(time.monotonic_ns() - sent)
-            if measuring and len(latencies) < ticks:
+            rounds.append(time.monotonic_ns() - sent)
+            if matched and len(rounds) < at_once:
                 send()
 
-        measuring = False
+        matched = False
         plane.subscribe(DISTURBANCE, arrived)
         plane.open()
         with plane.turn:
             end = time.monotonic() + 20.0
-            while not latencies:  # until the chain is matched all round
+            while not rounds:  # until the chain is matched all round
                 if time.monotonic() > end:
                     raise FtcmError("the bare chain did not come up within 20 s")
                 send()
                 plane.poll(10**8)
             plane.poll(10**9)
-            latencies.clear()
-            measuring = True
-            begin = time.monotonic()
-            send()
-            while len(latencies) < ticks:
-                plane.poll(10**7)
-                if time.monotonic() > begin + STAGE_SECONDS:
-                    raise FtcmError(f"the bare chain stopped after {len(latencies)} ticks")
-            rate = ticks / (time.monotonic() - begin)
-        plane.stop()
-        return rate, statistics.median(latencies) / 1000.0
+            rounds.clear()
+            matched = True
+            yield plane, send, rounds
     finally:
+        plane.stop()
         node.destroy_node()
         rclpy.shutdown()
         for hop in hops:
             hop.terminate()
             hop.join()
+
+
+def bare_lockstep(ticks: int) -> tuple[float, float]:
+    """Rate (ticks/s) and median latency (µs) of the bare chain, one round after the other."""
+    with bare_chain(ticks) as (plane, send, rounds):
+        begin = time.monotonic()
+        send()
+        while len(rounds) < ticks:
+            plane.poll(10**7)
+            if time.monotonic() > begin + STAGE_SECONDS:
+                raise FtcmError(f"the bare chain stopped after {len(rounds)} ticks")
+        return ticks / (time.monotonic() - begin), statistics.median(rounds) / 1000.0
+
+
+def bare_real_time(ticks: int) -> float:
+    """Share of ticks at 1 kHz that the bare chain misses, %: rounds that end late, and ticks skipped."""
+    scheduling.apply(0, False, "")
+    late = 0
+    with bare_chain() as (plane, send, rounds):
+        pacer = RealTime(10**6)
+        pacer.begin()
+        for _ in range(ticks):
+            before = len(rounds)
+            send()
+            pacer.wait(lambda: False, plane.poll)
+            late += len(rounds) == before
+    return 100.0 * (late + pacer.misses.total) / ticks
 
 
 def holes(seconds: float) -> tuple[float, float]:
@@ -168,9 +201,11 @@ def error_ratio(summary: dict[str, Any], lockstep: dict[str, Any]) -> float:
 def measure(repetitions: int, seconds: float) -> list[tuple[str, str]]:
     """Measure all rows of the graph; return what and how much."""
     lost = [holes(3.0) for _ in range(repetitions)]
+    bare = [bare_real_time(10_000) for _ in range(repetitions)]
     rows = [
         ("the machine alone: holes over 0.1 ms in a busy loop, per s", spread([n for n, _ in lost])),
         ("the largest of them, ms", spread([largest for _, largest in lost], 1)),
+        ("bare chain of four processes at 1 kHz, no work, no recorder: missed, %", spread(bare, 2)),
     ]
 
     def say(text: str) -> None:
@@ -193,7 +228,7 @@ def measure(repetitions: int, seconds: float) -> list[tuple[str, str]]:
             latency.append(run["timing_us"]["ftcm"]["chain"]["p50"])
             slow = experiment(folder, f"executor{i}", "--set", "duration=2", "--data-path", "executor")
             plain.append(slow["timing"]["ftcm"]["ticks_per_second"])
-            rate, median = bare_chain(5000)
+            rate, median = bare_lockstep(5000)
             floor.append(rate)
             floor_latency.append(median)
             begin = time.monotonic()

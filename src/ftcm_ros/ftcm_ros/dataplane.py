@@ -22,7 +22,7 @@ import importlib
 import sys
 import threading
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from typing import Any
 
 from rclpy.callback_groups import CallbackGroup, MutuallyExclusiveCallbackGroup
@@ -35,10 +35,13 @@ from rclpy.subscription import Subscription
 
 from ftcm_core.scenario import Scenario
 from ftcm_ros.sources import Source
-from ftcm_ros.topics import DEPTH, Topic, subscribers
+from ftcm_ros.topics import Topic, subscribers
 
 Handler = Callable[[bytes, int], None]
 """Takes one serialized message and the time it was published (system clock, ns)."""
+
+GATHER_TICKS = 4
+"""How many ticks are taken at a time where messages gather."""
 
 SWITCH_INTERVAL = 1e-4
 """How long a background thread may keep the interpreter from the tick, s."""
@@ -65,6 +68,10 @@ def _call_on_message(handle: Any, callback: Any) -> bool:
     return bool(set_callback(handle.pointer, ctypes.cast(callback, ctypes.c_void_p), None) == 0)
 
 
+_Taken = tuple[Topic, Any, Any, Callable[[bytes, Any], None]]
+"""A subscription: topic, rclpy handle, message class and callback."""
+
+
 class _NoExecutor(CallbackGroup):
     """Keeps subscriptions out of the executor's wait set: the data plane takes them itself."""
 
@@ -87,7 +94,7 @@ def message_class(type_name: str) -> Any:
 def qos(topic: Topic) -> QoSProfile:
     """Reliable with explicit depth; latched topics keep their messages for late subscribers."""
     return QoSProfile(
-        depth=DEPTH if not topic.latched else 100,
+        depth=topic.depth,
         reliability=ReliabilityPolicy.RELIABLE,
         durability=DurabilityPolicy.TRANSIENT_LOCAL if topic.latched else DurabilityPolicy.VOLATILE,
     )
@@ -96,21 +103,25 @@ def qos(topic: Topic) -> QoSProfile:
 class DataPlane:
     """The data subscriptions and publishers of one node."""
 
-    def __init__(self, node: Node, path: str, gather: bool = False) -> None:
+    def __init__(self, node: Node, path: str, gather: Topic | None = None) -> None:
         """Use the given path.
 
         Args:
             node: whose topics these are.
             path: ``listener``, ``waitset`` or ``executor``.
-            gather: messages are only taken by :meth:`collect`, many at a time.
+            gather: messages are only taken by :meth:`collect`, many at a time, and best after one of this
+                topic, the last to come in a tick.
         """
         self._node = node
-        self._path = "waitset" if gather and path == "listener" else path
+        self._path = path
+        self._gather = gather
         self._group = MutuallyExclusiveCallbackGroup() if path == "executor" else _NoExecutor()
         self._wanted: list[tuple[Topic, Handler]] = []
         self._subscriptions: list[Subscription] = []
-        self._taken: list[tuple[Topic, Any, Any, Callable[[bytes, Any], None]]] = []
-        """Topic, rclpy handle, message class and callback of each subscription, in order of declaration."""
+        self._taken: list[_Taken] = []
+        """In order of declaration."""
+        self._loose: list[_Taken] = []
+        """What no thread takes by itself, for it gathers."""
         self.sources: dict[str, Source] = {}
         """Whose messages count, of each subscribed topic that has one publisher in the suite."""
         self._publishers: list[tuple[Topic, Publisher]] = []
@@ -169,34 +180,53 @@ class DataPlane:
         return callback
 
     def _listen(self) -> bool:
-        """Have every message handled by the thread that receives it."""
-        for _, handle, cls, callback in self._taken:
+        """Have every message handled by the thread that receives it.
 
-            def receive(
-                _: Any, count: int, handle: Any = handle, cls: Any = cls, callback: Any = callback
-            ) -> None:
-                if not hasattr(self._thread_state, "kept"):  # else Python makes and drops one each time
-                    ctypes.pythonapi.PyGILState_Ensure()
-                    self._thread_state.kept = True
-                with self.turn:
-                    if self._failure is not None:  # the main thread is about to end the node
-                        return
-                    try:
-                        while (taken := handle.take_message(cls, True)) is not None:
-                            callback(*taken)
-                    except Exception as error:
-                        self._failure = error
-                        self.turn.notify()
-
-            self._callbacks.append(_Callback(receive))
-            if not _call_on_message(handle, self._callbacks[-1]):
+        What gathers is handled with a message of the topic that it gathers for. Only the thread that
+        receives a topic takes its messages: the middleware holds a lock of its own meanwhile, which
+        another thread would wait for with the interpreter's in its hands.
+        """
+        listened = [entry for entry in self._taken if self._gather in (None, entry[0])]
+        self._loose = [entry for entry in self._taken if entry not in listened]
+        for entry in listened:
+            self._callbacks.append(_Callback(self._receiver(entry)))
+            if not _call_on_message(entry[1], self._callbacks[-1]):
                 self._ignore()
                 return False
         return True
 
+    def _receiver(self, entry: _Taken) -> Callable[[Any, int], None]:
+        ticks = 0
+
+        def receive(_: Any, count: int) -> None:
+            nonlocal ticks
+            if not hasattr(self._thread_state, "kept"):  # else Python makes and drops one each time
+                ctypes.pythonapi.PyGILState_Ensure()
+                self._thread_state.kept = True
+            with self.turn:
+                if self._failure is not None:  # the main thread is about to end the node
+                    return
+                try:
+                    self._take_all((entry,))
+                    ticks += 1
+                    if ticks % GATHER_TICKS == 0:
+                        self._take_all(self._loose)
+                except Exception as error:
+                    self._failure = error
+                    self.turn.notify()
+
+        return receive
+
+    @staticmethod
+    def _take_all(entries: Iterable[_Taken]) -> None:
+        for _, handle, cls, callback in entries:
+            while (taken := handle.take_message(cls, True)) is not None:
+                callback(*taken)
+
     def _ignore(self) -> None:
-        for (_, handle, _, _), _ in zip(self._taken, self._callbacks):
-            _call_on_message(handle, None)
+        if self._callbacks:
+            for _, handle, _, _ in self._taken:
+                _call_on_message(handle, None)
         self._callbacks = []
 
     def publisher(self, topic: Topic) -> Callable[[Any], None]:
@@ -286,10 +316,13 @@ class DataPlane:
         if self._path == "executor":
             self._spin(seconds)
             return
-        time.sleep(seconds)
-        for _, handle, cls, callback in self._taken:
-            while (taken := handle.take_message(cls, True)) is not None:
-                callback(*taken)
+        if self._path == "listener":
+            self.turn.wait(seconds)
+            self._raise_failure()
+            self._take_all(self._loose)
+        else:
+            time.sleep(seconds)
+            self._take_all(self._taken)
 
     def unmatched(self, scenario: Scenario) -> str:
         """Which endpoint still waits for the suite's other nodes; empty when all are matched."""

@@ -22,7 +22,7 @@ from ftcm_core.provenance import provenance
 from ftcm_core.scenario import Scenario
 from ftcm_ros.codec import stamp_of
 from ftcm_ros.spool import Spool
-from ftcm_ros.topics import DEPTH, EVENTS, SCENARIO, Topic, data_topics
+from ftcm_ros.topics import EVENTS, SCENARIO, Topic, data_topics
 
 STORAGE = {"mcap": StoragePlugin.MCAP, "sqlite3": StoragePlugin.SQLITE3}
 _FOREVER = QosTime(0x7FFFFFFFFFFFFFFF // 10**9, 0x7FFFFFFFFFFFFFFF % 10**9)
@@ -226,7 +226,7 @@ def _flush(storage: Any) -> None:
 def _qos(topic: Topic) -> Qos:
     return Qos(
         history=QosHistory.KEEP_LAST,
-        depth=100 if topic.latched else DEPTH,
+        depth=topic.depth,
         reliability=QosReliability.RELIABLE,
         durability=QosDurability.TRANSIENT_LOCAL if topic.latched else QosDurability.VOLATILE,
         deadline=_FOREVER,

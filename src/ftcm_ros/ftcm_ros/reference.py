@@ -11,7 +11,7 @@ import sys
 from pathlib import Path
 
 from ftcm_ros.settings import SETTINGS
-from ftcm_ros.topics import DEPTH, TOPICS
+from ftcm_ros.topics import TOPICS
 
 PAGE = "topics.md"
 _INTRO = """# Topics and node parameters
@@ -20,9 +20,9 @@ Generated from the declarations by `python -m ftcm_ros.reference docs/`; do not 
 
 ## Topics
 
-Every data topic is reliable with depth {depth}; latched topics are transient local. Stamps are the
-time of the tick, t_k = k·dt from zero, in lockstep and in real time; the time a message was received
-is in the bag. Torques are joint torques in N·m; `position`, `velocity` and `effort` are the arrays of
+Every topic is reliable; latched topics are transient local. Stamps of the data topics are the time of
+the tick, t_k = k·dt from zero, in lockstep and in real time; the time a message was received is in the
+bag. Torques are joint torques in N·m; `position`, `velocity` and `effort` are the arrays of
 `sensor_msgs/JointState`, joints by name in any order.
 """
 _PARAMETERS = """
@@ -37,13 +37,12 @@ A change takes effect between two ticks and is announced on `component_changes` 
 
 def page() -> str:
     """Return the page."""
-    lines = [_INTRO.format(depth=DEPTH)]
-    lines += ["| topic | type | from | to | content |", "|---|---|---|---|---|"]
+    lines = [_INTRO, "| topic | type | depth | from | to | content |", "|---|---|---|---|---|---|"]
     for t in TOPICS:
         latched = " (latched)" if t.latched else ""
         lines.append(
-            f"| `{t.name}` | `{t.type}` | {', '.join(t.publishers)} | {', '.join(t.subscribers) or '–'} "
-            f"| {t.content}{latched} |"
+            f"| `{t.name}` | `{t.type}` | {t.depth} | {', '.join(t.publishers)} "
+            f"| {', '.join(t.subscribers) or '–'} | {t.content}{latched} |"
         )
     lines.append(_PARAMETERS)
     for node, settings in SETTINGS.items():

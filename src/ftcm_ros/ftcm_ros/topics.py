@@ -9,7 +9,7 @@ from ftcm_core.scenario import Scenario
 from ftcm_ros.codec import JOINT_STATE
 
 DEPTH = 4000
-"""Queue depth of every data topic: four seconds at 1 kHz."""
+"""Queue depth of every data topic: four seconds at 1 kHz. The middleware keeps so many, read or not."""
 
 _ARRAY = "diagnostic_msgs/msg/DiagnosticArray"
 
@@ -23,6 +23,7 @@ class Topic(NamedTuple):
     subscribers: tuple[str, ...]
     content: str
     latched: bool = False
+    depth: int = DEPTH
 
 
 JOINT_STATES = Topic(
@@ -74,6 +75,7 @@ CHANGES = Topic(
     ("recorder",),
     "the component in force and its parameters, stamped with its first tick",
     latched=True,
+    depth=100,
 )
 SCENARIO = Topic(
     "scenario",
@@ -82,6 +84,7 @@ SCENARIO = Topic(
     ("recorder",),
     "the complete scenario in YAML",
     latched=True,
+    depth=100,
 )
 DIAGNOSTICS = Topic(
     "/diagnostics",
@@ -89,6 +92,7 @@ DIAGNOSTICS = Topic(
     ("plant", "observer", "controller", "injector", "recorder"),
     ("recorder",),
     "health of each node, once a second",
+    depth=100,
 )
 RECORDED = Topic(
     "recorded",
@@ -96,8 +100,16 @@ RECORDED = Topic(
     ("recorder",),
     ("plant",),
     "stamp up to which every data topic is recorded",
+    depth=10,
 )
-CLOCK = Topic("/clock", "rosgraph_msgs/msg/Clock", ("plant",), (), "simulated time, 100 Hz; an output only")
+CLOCK = Topic(
+    "/clock",
+    "rosgraph_msgs/msg/Clock",
+    ("plant",),
+    (),
+    "simulated time, 100 Hz; an output only",
+    depth=10,
+)
 
 DATA = (JOINT_STATES, ESTIMATE, TORQUES, DISTURBANCE, REFERENCE)
 """One message per tick each."""

@@ -49,8 +49,8 @@ STOP_LIMIT = 30
 class SuiteNode(LifecycleNode):
     """A managed node; what touches its data is done one thing at a time."""
 
-    gathers = False
-    """Whether messages are collected many at a time, instead of answered each at once."""
+    gathers: Topic | None = None
+    """The topic after which messages are collected, many at a time, instead of answered each at once."""
 
     def __init__(self, name: str) -> None:
         """Declare the common parameters and read the scenario.

@@ -3,7 +3,6 @@
 
 from __future__ import annotations
 
-import os
 import sys
 import time
 from collections.abc import Callable
@@ -16,13 +15,11 @@ from ftcm_core.errors import FtcmError
 from ftcm_core.signals import NANOSECONDS
 from ftcm_ros.nodes.base import SuiteNode, run
 from ftcm_ros.recording import Recording
-from ftcm_ros.topics import EVENTS, RECORDED, Topic, data_topics
+from ftcm_ros.topics import DISTURBANCE, EVENTS, RECORDED, Topic, data_topics
 
 ACKNOWLEDGE_TICKS = 100
 """How often the recorder says how far it is."""
 BATCH_SECONDS = 0.01
-NICENESS = 10
-"""Recording can wait, the tick cannot: the middleware's threads in this process give way to it."""
 FLUSH_SECONDS = 0.25
 """A recorder that is killed shall lose a second at most, on a busy machine too."""
 QUIET_SECONDS = 1.0
@@ -32,7 +29,7 @@ QUIET_SECONDS = 1.0
 class RecorderNode(SuiteNode):
     """Writes what it receives, as received, and knows what is missing."""
 
-    gathers = True
+    gathers = DISTURBANCE  # in real time, between the end of a tick's work and the next tick
 
     def __init__(self) -> None:
         """Subscribe everything."""
@@ -154,7 +151,6 @@ class RecorderNode(SuiteNode):
 
 def main() -> None:
     """Entry point of ``ros2 run ftcm_ros recorder``."""
-    os.nice(NICENESS)
     sys.exit(run(RecorderNode))
 
 
