@@ -8,13 +8,14 @@ import math
 import numpy as np
 import pytest
 
+from ftcm_core.faults import Disturbance
 from ftcm_core.limits import Limits
 from ftcm_core.metrics import evaluate
 from ftcm_core.robots.puma560 import Puma560
 from ftcm_core.scenario import from_mapping, load
 from ftcm_core.sensors.encoder import Encoder, encode, low_pass
 from ftcm_core.sensors.ideal import Ideal
-from ftcm_core.signals import TrueDisturbance
+from ftcm_core.signals import TrueDisturbance, Vector
 from ftcm_core.simulation import simulate
 from ftcm_core.stages import DelayLine, InjectorStage, PlantStage
 from ftcm_core.streams import gaussian, stream_key, uniform
@@ -188,14 +189,14 @@ def test_effort_is_the_delayed_command(ticks: int) -> None:
 
 def test_faults_see_the_torque_that_acts() -> None:
     """Loss of effectiveness is of the torque applied, not of the one on its way."""
-    seen = []
+    seen: list[Vector] = []
 
-    class Spy:
-        def torque(self, t, q, v, u):
+    class Spy(Disturbance):
+        def torque(self, t: float, q: Vector, v: Vector, u: Vector) -> Vector:
             seen.append(u)
             return ZERO
 
-    injector = InjectorStage([Spy()], 3, Limits(torque=(1.5,) * 3), torque_delay=1)  # type: ignore[list-item]
+    injector = InjectorStage([Spy()], 3, Limits(torque=(1.5,) * 3), torque_delay=1)
     for n in (1.0, 2.0, 3.0):
         injector.step(0, Q, V, (n,) * 3)
     assert seen == [ZERO, (1.0,) * 3, (1.5,) * 3]

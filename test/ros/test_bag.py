@@ -112,7 +112,7 @@ def test_an_existing_bag_is_never_written_over(trace: Trace, tmp_path: Path) -> 
     write(tmp_path / "bag", trace)
     before = {p.name: p.read_bytes() for p in (tmp_path / "bag").iterdir()}
     with pytest.raises(FtcmError, match="exists already"):
-        Recording(tmp_path / "bag", "mcap", trace.scenario)  # type: ignore[arg-type]
+        Recording(tmp_path / "bag", "mcap", load("paper"))
     assert {p.name: p.read_bytes() for p in (tmp_path / "bag").iterdir()} == before
 
 
@@ -415,9 +415,9 @@ def test_a_bag_that_cannot_grow_keeps_what_it_has_and_says_so(
 
 
 @pytest.mark.parametrize("storage", STORAGE)
-def test_a_bag_that_cannot_be_begun_leaves_nothing(trace: Trace, tmp_path: Path, storage: str) -> None:
+def test_a_bag_that_cannot_be_begun_leaves_nothing(tmp_path: Path, storage: str) -> None:
     with largest_file(3000), pytest.raises(FtcmError, match="cannot be made"):
-        Recording(tmp_path / "bag", storage, trace.scenario)  # type: ignore[arg-type]
+        Recording(tmp_path / "bag", storage, load("paper"))
     assert list(tmp_path.iterdir()) == []
 
 
@@ -432,13 +432,11 @@ def test_a_bag_that_cannot_be_begun_leaves_nothing(trace: Trace, tmp_path: Path,
         ("/proc/bag", "sqlite3", "cannot be made: No such file"),
     ],
 )
-def test_a_name_that_cannot_be_a_bag_is_one_line(
-    trace: Trace, tmp_path: Path, name: str, storage: str, text: str
-) -> None:
+def test_a_name_that_cannot_be_a_bag_is_one_line(tmp_path: Path, name: str, storage: str, text: str) -> None:
     (tmp_path / "file").write_text("mine")
     (tmp_path / "link").symlink_to(tmp_path / "nowhere")
     with pytest.raises(FtcmError, match=text):
-        Recording(tmp_path / name, storage, trace.scenario)  # type: ignore[arg-type]
+        Recording(tmp_path / name, storage, load("paper"))
     assert sorted(p.name for p in tmp_path.iterdir()) == ["file", "link"]
     assert (tmp_path / "file").read_text() == "mine"
 

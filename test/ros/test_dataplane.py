@@ -20,7 +20,7 @@ from sensor_msgs.msg import JointState
 from ftcm_ros import dataplane
 from ftcm_ros.codec import JointStateCodec
 from ftcm_ros.dataplane import DataPlane
-from ftcm_ros.topics import TORQUES
+from ftcm_ros.topics import DISTURBANCE, TORQUES, Topic
 
 pytestmark = pytest.mark.ros
 
@@ -80,16 +80,67 @@ def test_messages_come_whole_and_in_order_and_only_while_the_main_thread_polls(
     )
     with plane.turn:
         thread = publish(publisher, range(100))
-        time.sleep(0.2)
+        thread.join(0.2)  # in vain on the listener path: this very thread is kept waiting
+        assert thread.is_alive() == (path == "listener")
         assert got == []
         poll_until(plane, lambda: len(got) == 100)
     thread.join()
     plane.stop()
     assert [tick for tick, _ in got] == list(range(100))
     assert {thread == threading.get_ident() for _, thread in got} == {path != "listener"}
-    publisher.publish(CODEC.torque.encode(100, (1.0, 2.0, 3.0)))
-    time.sleep(0.1)
+    publish(publisher, range(100, 101)).join()
     assert len(got) == 100  # stopped is stopped
+
+
+def test_what_gathers_is_taken_with_its_topic_and_the_rest_when_the_node_collects(
+    node: Node, watcher: Any
+) -> None:
+    """Four disturbances bring all torques with them, on the thread that receives; nothing is left behind."""
+    got: list[tuple[str, int, bool]] = []
+    plane = DataPlane(node, "listener", DISTURBANCE)
+
+    def handler(topic: Topic) -> Any:
+        return lambda data, _: got.append(
+            (topic.name, CODEC.decode(data).time_ns, threading.get_ident() == main)
+        )
+
+    main = threading.get_ident()
+    for topic in (TORQUES, DISTURBANCE):
+        plane.subscribe(topic, handler(topic))
+    plane.open()
+    plane.start()
+    torques, disturbances = (
+        watcher.node.create_publisher(JointState, t.name, dataplane.qos(t)) for t in (TORQUES, DISTURBANCE)
+    )
+    watcher.spin_until(
+        lambda: (
+            torques.get_subscription_count() == disturbances.get_subscription_count() == 1
+            and plane.has_publisher(TORQUES)
+            and plane.has_publisher(DISTURBANCE)
+        ),
+        "matched publishers",
+    )
+
+    def collected(count: int) -> list[tuple[str, int, bool]]:
+        end = time.monotonic() + 30.0
+        while len(got) < count and time.monotonic() < end:
+            plane.collect(0.05)
+        return got
+
+    with plane.turn:
+        publish(torques, range(3)).join()
+        assert collected(3) == [("joint_torques", tick, True) for tick in range(3)]
+        publish(disturbances, range(3))
+        assert collected(6)[3:] == [("disturbance", tick, False) for tick in range(3)]
+        publish(torques, range(3, 6)).join()
+        publish(disturbances, range(3, 4))
+        end = time.monotonic() + 30.0
+        while len(got) < 10 and time.monotonic() < end:
+            plane.turn.wait(0.05)
+        assert got[6:] == [("disturbance", 3, False)] + [
+            ("joint_torques", tick, False) for tick in range(3, 6)
+        ]
+    plane.stop()
 
 
 @pytest.mark.parametrize("path", PATHS)

@@ -269,9 +269,8 @@ def test_nodes_that_somebody_else_starts(
     arguments = ["--controllers", "smc", "--set", "duration=0.5", "--name", "test", "--no-figures"]
     process = start("experiment", "paper", "--external-nodes", *arguments)
     files = {n: tmp_path / "runs" / "test" / "nodes" / f"{n}.yaml" for n in NODES}
-    for _ in range(600):
-        if all(f.exists() for f in files.values()):
-            break
+    while not all(f.exists() for f in files.values()):
+        assert process.poll() is None, process.communicate()
         time.sleep(0.1)
     nodes = [start(f"nodes.{n}", "--ros-args", "--params-file", str(f)) for n, f in files.items()]
     _, err = process.communicate(timeout=120)

@@ -26,7 +26,7 @@ from ftcm_core.provenance import provenance
 from ftcm_core.report.results import to_json
 from ftcm_core.robots import Robot
 from ftcm_core.robots.puma560 import IM1, IM2, IM3
-from ftcm_core.scenario import load
+from ftcm_core.scenario import Scenario, load
 from ftcm_core.signals import Vector
 from ftcm_core.simulation import Loop, simulate
 
@@ -99,10 +99,7 @@ def measure(*, quick: bool = False, jobs: int | None = None) -> dict[str, Any]:
 
     def ticks(step: Step) -> Callable[[], None]:
         def run() -> None:
-            loop = Loop(scenario)
-            if step is not robot.forward_dynamics:
-                # Observer and controller keep their model: only what integrates the plant is another.
-                loop.plant.robot = cast(Robot, _Replaced(step))
+            loop = Loop(scenario) if step is robot.forward_dynamics else loop_with(scenario, step)
             for k in range(CALLS):
                 loop.tick(k * scenario.dt_ns, False, lambda row: None)
 
@@ -176,10 +173,21 @@ def _row(name: str, samples: list[float], unit: str) -> dict[str, Any]:
 
 
 class _Replaced:
-    """Stands where the plant integrates the robot's forward dynamics."""
+    """A robot with other forward dynamics."""
 
-    def __init__(self, step: Step) -> None:
+    def __init__(self, robot: Robot, step: Step) -> None:
+        self._robot = robot
         self.forward_dynamics = step
+
+    def __getattr__(self, name: str) -> Any:
+        return getattr(self._robot, name)
+
+
+def loop_with(scenario: Scenario, step: Step) -> Loop:
+    """Return the loop with other forward dynamics in the plant; observer and controller keep their model."""
+    loop = Loop(scenario)
+    loop.plant.robot = cast(Robot, _Replaced(scenario.robot, step))
+    return loop
 
 
 def _others() -> dict[str, Step]:

@@ -285,6 +285,19 @@ def measure(repetitions: int, seconds: float) -> list[tuple[str, str]]:
     return rows
 
 
+def _tell(lines: list[str], file: Path | None, before: Sequence[str] = ()) -> None:
+    """Print lines, and write them to a page, if wanted, below those that were told before."""
+    print("\n".join(lines), flush=True)
+    if file:
+        head = [
+            "# Measured",
+            "",
+            "Written by `make bench`. What the rows mean: [real time](real_time.md).",
+            "",
+        ]
+        file.write_text("\n".join([*head, *before, *lines]) + "\n", encoding="utf-8")
+
+
 def main(argv: list[str] | None = None) -> int:
     """Measure and print."""
     parser = argparse.ArgumentParser(prog="ftcm_ros.benchmark", description=__doc__)
@@ -313,16 +326,11 @@ def main(argv: list[str] | None = None) -> int:
         "|---|---|",
         *(f"| {what} | {value} |" for what, value in rows),
     ]
+    _tell(lines, options.output)
     if options.core:
         print("  the library ...", file=sys.stderr, flush=True)
-        lines += ["", "The library without ROS:", "", "```", core.text(core.measure()), "```"]
-    text = "\n".join(lines) + "\n"
-    print(text, end="")
-    if options.output:
-        page = (
-            f"# Measured\n\nWritten by `make bench`. What the rows mean: [real time](real_time.md).\n\n{text}"
-        )
-        options.output.write_text(page, encoding="utf-8")
+        more = ["", "The library without ROS:", "", "```", core.text(core.measure()), "```"]
+        _tell(more, options.output, lines)
     return 0
 
 

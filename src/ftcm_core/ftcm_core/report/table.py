@@ -12,7 +12,6 @@ from collections.abc import Sequence
 from typing import Any
 
 from ftcm_core.metrics import SETTLING_BAND
-from ftcm_core.registry import find
 from ftcm_core.scenario import load, shipped_scenarios
 
 PUBLISHED: dict[str, tuple[float, float, float]] = {
@@ -160,11 +159,12 @@ def is_paper_run(result: Result) -> bool:
         or result["changes"]
     ):
         return False
-    paper = load(str(shipped_scenarios()["paper"]), controller=controller).to_mapping()
+    paper = load(str(shipped_scenarios()["paper"]), controller=controller)
     ignored = {"name", "seed", "transient"}
-    if not find("controller", controller).needs_observer:  # type: ignore[attr-defined]
+    if not paper.controller.needs_observer:
         ignored.add("observer")
-    return all(configuration.get(key) == value for key, value in paper.items() if key not in ignored)
+    expected = paper.to_mapping()
+    return all(configuration.get(key) == value for key, value in expected.items() if key not in ignored)
 
 
 def values(result: Result, window: str, metric: str) -> list[float | None] | None:
