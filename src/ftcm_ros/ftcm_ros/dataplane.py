@@ -22,6 +22,7 @@ import importlib
 import sys
 import threading
 import time
+from collections import deque
 from collections.abc import Callable, Iterable
 from typing import Any
 
@@ -121,7 +122,12 @@ class DataPlane:
         self._taken: list[_Taken] = []
         """In order of declaration."""
         self._loose: list[_Taken] = []
-        """What no thread takes by itself, for it gathers."""
+        """What gathers with the middleware."""
+        self._gathered: deque[tuple[Callable[[bytes, Any], None], Any]] = deque(
+            maxlen=None if gather is None else gather.depth
+        )
+        """What gathers here: callback and its arguments."""
+        self._enough = threading.Event()
         self.sources: dict[str, Source] = {}
         """Whose messages count, of each subscribed topic that has one publisher in the suite."""
         self._publishers: list[tuple[Topic, Publisher]] = []
@@ -180,40 +186,56 @@ class DataPlane:
         return callback
 
     def _listen(self) -> bool:
-        """Have every message handled by the thread that receives it.
+        """Have messages taken by the thread that receives them: handled at once, or gathered.
 
-        What gathers is handled with a message of the topic that it gathers for. Only the thread that
-        receives a topic takes its messages: the middleware holds a lock of its own meanwhile, which
-        another thread would wait for with the interpreter's in its hands.
+        Of what gathers only one topic is listened to. The others can be taken by the main thread: the
+        middleware does not call back for them. Of a topic it calls back for, it holds a lock of its own
+        meanwhile, which another thread that takes would wait for with the interpreter's in its hands.
         """
-        listened = [entry for entry in self._taken if self._gather in (None, entry[0])]
-        self._loose = [entry for entry in self._taken if entry not in listened]
-        for entry in listened:
-            self._callbacks.append(_Callback(self._receiver(entry)))
+        for entry in self._taken:
+            if self._gather not in (None, entry[0]):
+                self._loose.append(entry)
+                continue
+            receive = self._answering(entry) if self._gather is None else self._gathering(entry)
+            self._callbacks.append(_Callback(receive))
             if not _call_on_message(entry[1], self._callbacks[-1]):
                 self._ignore()
                 return False
         return True
 
-    def _receiver(self, entry: _Taken) -> Callable[[Any, int], None]:
-        ticks = 0
+    def _keep_thread(self) -> None:
+        """Have Python remember this thread of the middleware, instead of making and dropping it each time."""
+        if not hasattr(self._thread_state, "kept"):
+            ctypes.pythonapi.PyGILState_Ensure()
+            self._thread_state.kept = True
 
+    def _answering(self, entry: _Taken) -> Callable[[Any, int], None]:
         def receive(_: Any, count: int) -> None:
-            nonlocal ticks
-            if not hasattr(self._thread_state, "kept"):  # else Python makes and drops one each time
-                ctypes.pythonapi.PyGILState_Ensure()
-                self._thread_state.kept = True
+            self._keep_thread()
             with self.turn:
                 if self._failure is not None:  # the main thread is about to end the node
                     return
                 try:
                     self._take_all((entry,))
-                    ticks += 1
-                    if ticks % GATHER_TICKS == 0:
-                        self._take_all(self._loose)
                 except Exception as error:
                     self._failure = error
                     self.turn.notify()
+
+        return receive
+
+    def _gathering(self, entry: _Taken) -> Callable[[Any, int], None]:
+        _, handle, cls, callback = entry
+        ticks = 0
+
+        def receive(_: Any, count: int) -> None:
+            nonlocal ticks
+            self._keep_thread()
+            while (taken := handle.take_message(cls, True)) is not None:
+                self._gathered.append((callback, taken))
+                ticks += 1
+            if ticks >= GATHER_TICKS:
+                ticks = 0
+                self._enough.set()
 
         return receive
 
@@ -227,7 +249,7 @@ class DataPlane:
         if self._callbacks:
             for _, handle, _, _ in self._taken:
                 _call_on_message(handle, None)
-        self._callbacks = []
+        self._callbacks, self._loose = [], []
 
     def publisher(self, topic: Topic) -> Callable[[Any], None]:
         """Return a function that publishes a message object or its serialized bytes."""
@@ -306,7 +328,9 @@ class DataPlane:
 
     def wake(self) -> None:
         """End the wait of :meth:`poll`, where it would not end by itself soon."""
-        if self._path == "listener":
+        if self._gather is not None:
+            self._enough.set()
+        elif self._path == "listener":
             with self.turn:
                 self.turn.notify()
 
@@ -316,13 +340,12 @@ class DataPlane:
         if self._path == "executor":
             self._spin(seconds)
             return
-        if self._path == "listener":
-            self.turn.wait(seconds)
-            self._raise_failure()
-            self._take_all(self._loose)
-        else:
-            time.sleep(seconds)
-            self._take_all(self._taken)
+        self._enough.wait(seconds)
+        self._enough.clear()
+        while self._gathered:
+            callback, taken = self._gathered.popleft()
+            callback(*taken)
+        self._take_all(self._loose or self._taken)
 
     def unmatched(self, scenario: Scenario) -> str:
         """Which endpoint still waits for the suite's other nodes; empty when all are matched."""
