@@ -23,6 +23,22 @@ print(policies() == {os.SCHED_OTHER})
 """
 
 
+WAITING = """
+import os, time
+from ftcm_ros import scheduling
+scheduling.apply(0, False, str(min(os.sched_getaffinity(0))))
+print(open("/proc/self/timerslack_ns").read().strip(), flush=True)
+other = os.fork()
+began = scheduling.waited_seconds()
+end = time.monotonic() + 0.5
+while time.monotonic() < end:
+    pass
+if other:
+    os.waitpid(other, 0)
+    print(scheduling.waited_seconds() - began > 0.1)
+"""
+
+
 @pytest.mark.parametrize(
     ("arguments", "text"),
     [((100, False, ""), "priority: 100"), ((0, False, "x"), "'x'"), ((0, False, "4096"), "4096")],
@@ -41,3 +57,11 @@ def test_every_thread_gives_real_time_scheduling_back() -> None:
         pytest.skip(asked)
     assert asked == "[] True"
     assert given_back == "True"
+
+
+def test_waits_end_in_time_and_waiting_for_a_processor_is_counted() -> None:
+    """Two busy processes on one processor."""
+    run = subprocess.run(
+        [sys.executable, "-c", WAITING], capture_output=True, text=True, timeout=60, check=True
+    )
+    assert run.stdout.split() == ["1", "True"]

@@ -35,6 +35,7 @@ from ftcm_ros.dataplane import DataPlane
 from ftcm_ros.domain import Domain
 from ftcm_ros.network import set_defaults
 from ftcm_ros.pacing import RealTime
+from ftcm_ros.settings import NODES
 from ftcm_ros.topics import DISTURBANCE, ESTIMATE, JOINT_STATES, TORQUES
 
 CHAIN = {
@@ -255,6 +256,7 @@ def measure(repetitions: int, seconds: float) -> list[tuple[str, str]]:
         shares: dict[str, list[float]] = {v: [] for v in variants}
         errors: dict[str, list[float]] = {v: [] for v in variants}
         details: dict[str, list[str]] = {v: [] for v in variants}
+        times: dict[str, dict[str, list[list[float]]]] = {v: {} for v in variants}
         for i in range(repetitions):
             for variant, (arguments, load) in variants.items():
                 say(f"real time, {variant}, repetition {i + 1} of {repetitions}")
@@ -267,7 +269,13 @@ def measure(repetitions: int, seconds: float) -> list[tuple[str, str]]:
                 plant = nodes["plant"]
                 shares[variant].append(100.0 * int(plant["missed_deadlines"]) / int(plant["ticks"]))
                 errors[variant].append(error_ratio(run, lockstep))
-                cpu = sum(float(n["cpu_seconds"]) for n in nodes.values()) / seconds
+                per_tick = {
+                    name: [1e6 * float(n[k]) / int(plant["ticks"]) for k in ("cpu_seconds", "waited_seconds")]
+                    for name, n in nodes.items()
+                }
+                for name in NODES:
+                    times[variant].setdefault(name, []).append(per_tick[name])
+                cpu = sum(busy for busy, _ in per_tick.values()) / 1000.0
                 causes = ", ".join(
                     f"{c} {plant[c]}" for c in ("late_torque", "late_disturbance", "plant_overrun")
                 )
@@ -281,6 +289,18 @@ def measure(repetitions: int, seconds: float) -> list[tuple[str, str]]:
             )
             rows.append(
                 (f"real time, {variant}: causes and processors of each run", " / ".join(details[variant]))
+            )
+            medians = {
+                name: [statistics.median(column) for column in zip(*found)]
+                for name, found in times[variant].items()
+            }
+            rows.append(
+                (
+                    f"real time, {variant}: µs per tick on a processor + ready but waiting for one",
+                    ", ".join(
+                        f"{name} {busy:.0f} + {waited:.0f}" for name, (busy, waited) in medians.items()
+                    ),
+                )
             )
     return rows
 

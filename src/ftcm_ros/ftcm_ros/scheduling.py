@@ -6,6 +6,7 @@ from __future__ import annotations
 import contextlib
 import ctypes
 import os
+from pathlib import Path
 
 from ftcm_core.errors import FtcmError
 
@@ -55,6 +56,15 @@ def apply(priority: int, lock_memory: bool, processors: str) -> list[str]:
             "/etc/security/limits.conf, or run as root"
         )
     return refused
+
+
+def waited_seconds() -> float:
+    """How long threads of this process were ready to run without a processor, s; 0 if Linux does not tell."""
+    waited = 0
+    for file in Path("/proc/self/task").glob("*/schedstat"):
+        with contextlib.suppress(OSError, ValueError, IndexError):  # it has just ended
+            waited += int(file.read_text(encoding="ascii").split()[1])
+    return waited / 1e9
 
 
 def release() -> None:

@@ -78,6 +78,8 @@ class SuiteNode(LifecycleNode):
         self._dt_ns, self._end_ns = self.scenario.dt_ns, self.scenario.last_tick * self.scenario.dt_ns
         self._report = self.plane.publisher(DIAGNOSTICS)
         self._report_marks = (time.monotonic(), 0)
+        self._time_marks = (0.0, 0.0)
+        """Processor time and time without a processor when the run began, s."""
         self.create_timer(1.0, self.report, clock=Clock(clock_type=ClockType.STEADY_TIME))
         self._main = threading.current_thread()
         self._work: list[tuple[Callable[[], Any], threading.Event, list[Any]]] = []
@@ -120,6 +122,7 @@ class SuiteNode(LifecycleNode):
         self.activate()
         gc.collect()
         gc.freeze()
+        self._time_marks = (time.process_time(), scheduling.waited_seconds())
         self.active = True
 
     def _deactivate(self) -> None:
@@ -266,8 +269,10 @@ class SuiteNode(LifecycleNode):
             "rate_hz": round(rate, 1),
             "refused": refused,
             **{f"refused_{kind}": count for kind, count in kinds.items()},
-            "cpu_seconds": round(time.process_time(), 3),
+            "cpu_seconds": round(time.process_time() - self._time_marks[0], 3),
         }
+        if not self.active:  # takes too long for between two ticks
+            common["waited_seconds"] = round(scheduling.waited_seconds() - self._time_marks[1], 3)
         status = DiagnosticStatus(
             level={"ok": DiagnosticStatus.OK, "warn": DiagnosticStatus.WARN, "error": DiagnosticStatus.ERROR}[
                 level
