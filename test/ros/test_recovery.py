@@ -80,7 +80,8 @@ def test_of_a_killed_recorder_only_the_last_second_is_lost(
     assert "warning: ftcm: bag was not closed; recovered: complete to t = " in err
     assert "node 'recorder' was ended by SIGKILL" in err.splitlines()[-1]
     bag = read_bag(tmp_path / "runs" / "test" / "bags" / "ftcm")
-    assert bag.trace.time_ns[-1] >= stamps[-1] > 0
+    # Of its last measurement the stopped plant may have served the watcher, but not yet the recorder.
+    assert bag.trace.time_ns[-1] >= stamps[-1] - 1_000_000 > 0
     assert equals_the_in_process_run(bag)
     assert "| ftcm" in out
     summary = json.loads((tmp_path / "runs" / "test" / "summary.json").read_text())
