@@ -20,16 +20,22 @@ from ftcm_ros.bag import read_bag
 
 
 def compare(path: str) -> dict[str, Any]:
-    """What a bag holds, and which columns differ from the in-process run as far as it goes."""
+    """What a bag holds, and which columns differ from the in-process run as far as it goes.
+
+    Of its last measurement a plant that is stopped may have served the observer, but not yet the recorder:
+    that tick is not compared.
+    """
     bag = read_bag(Path(path))
     trace = bag.trace
     again = simulate(trace.scenario, trace.changes)
-    ticks = trace.ticks
+    ticks = trace.ticks - int(np.isnan(trace.position[-1]).any())
     return {
-        "ticks": ticks,
+        "ticks": trace.ticks,
         "status": trace.status,
         "missing": bag.missing,
-        "differing": [c for c in COLUMNS if not np.array_equal(getattr(trace, c), getattr(again, c)[:ticks])],
+        "differing": [
+            c for c in COLUMNS if not np.array_equal(getattr(trace, c)[:ticks], getattr(again, c)[:ticks])
+        ],
         "changes": [[c.kind, c.component.type_name, c.tick] for c in trace.changes],
         "plant": bag.nodes.get("plant", {}),
         "revision": json.loads(bag.metadata.get("provenance", "{}")).get("revision"),
