@@ -270,9 +270,8 @@ class SuiteNode(LifecycleNode):
             "refused": refused,
             **{f"refused_{kind}": count for kind, count in kinds.items()},
             "cpu_seconds": round(time.process_time() - self._time_marks[0], 3),
+            "waited_seconds": round(scheduling.waited_seconds() - self._time_marks[1], 3),
         }
-        if not self.active:  # takes too long for between two ticks
-            common["waited_seconds"] = round(scheduling.waited_seconds() - self._time_marks[1], 3)
         status = DiagnosticStatus(
             level={"ok": DiagnosticStatus.OK, "warn": DiagnosticStatus.WARN, "error": DiagnosticStatus.ERROR}[
                 level
