@@ -305,19 +305,6 @@ def measure(repetitions: int, seconds: float) -> list[tuple[str, str]]:
     return rows
 
 
-def _tell(lines: list[str], file: Path | None, before: Sequence[str] = ()) -> None:
-    """Print lines, and write them to a page, if wanted, below those that were told before."""
-    print("\n".join(lines), flush=True)
-    if file:
-        head = [
-            "# Measured",
-            "",
-            "Written by `make bench`. What the rows mean: [real time](real_time.md).",
-            "",
-        ]
-        file.write_text("\n".join([*head, *before, *lines]) + "\n", encoding="utf-8")
-
-
 def main(argv: list[str] | None = None) -> int:
     """Measure and print."""
     parser = argparse.ArgumentParser(prog="ftcm_ros.benchmark", description=__doc__)
@@ -346,11 +333,25 @@ def main(argv: list[str] | None = None) -> int:
         "|---|---|",
         *(f"| {what} | {value} |" for what, value in rows),
     ]
-    _tell(lines, options.output)
+    arguments = f"--repetitions {options.repetitions} --seconds {options.seconds:g}"
+    page = [
+        "# Measured",
+        "",
+        f"Written by `make bench ARGS='{arguments}'`. What the rows mean: [real time](real_time.md).",
+        "",
+    ]
+
+    def tell(more: list[str]) -> None:
+        """Print lines and, if wanted, add them to the page."""
+        print("\n".join(more), flush=True)
+        page.extend(more)
+        if options.output:
+            options.output.write_text("\n".join(page) + "\n", encoding="utf-8")
+
+    tell(lines)
     if options.core:
         print("  the library ...", file=sys.stderr, flush=True)
-        more = ["", "The library without ROS:", "", "```", core.text(core.measure()), "```"]
-        _tell(more, options.output, lines)
+        tell(["", "The library without ROS:", "", "```", core.text(core.measure()), "```"])
     return 0
 
 

@@ -88,14 +88,15 @@ def remove_dead_shared_memory(domain: int, folder: Path = Path("/dev/shm")) -> l
     for path in sorted(folder.glob("*fastrtps_*")):
         port = re.fullmatch(r"(?:sem\.)?fastrtps_port(\d+)(?:_el|_sl|_mutex)?", path.name)
         segment = re.fullmatch(r"fastrtps_([0-9a-f]{16})(?:_el)?", path.name)
-        if port and (int(port.group(1)) in ports or int(port.group(1)) in SHARED_PORTS):
+        shared = port is not None and int(port.group(1)) in SHARED_PORTS
+        if port and (shared or int(port.group(1)) in ports):
             locks = [folder / f"fastrtps_port{port.group(1)}{kind}" for kind in ("_el", "_sl")]
         elif segment:
             locks = [folder / f"fastrtps_{segment.group(1)}_el"]
         else:
             continue
         try:
-            if port and int(port.group(1)) in SHARED_PORTS and _is_new(path.stat()):
+            if shared and _is_new(path.stat()):
                 continue  # another domain's process, which has not locked it yet
             if all(_is_free(lock) for lock in locks):
                 path.unlink()
