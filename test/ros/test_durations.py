@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Percentiles in bounded memory, against the samples sorted."""
+"""Mean and percentiles in bounded memory, against the samples sorted."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from typing import Any
 
 import pytest
 
-from ftcm_ros.durations import Durations, percentiles
+from ftcm_ros.durations import Durations, figures
 
 
 def size(durations: Durations) -> int:
@@ -23,11 +23,12 @@ def test_the_whole_run_to_a_microsecond_the_last_second_exactly() -> None:
     for i in range(0, len(samples), 1000):
         for ns in samples[i : i + 1000]:
             durations.add(ns)
-        assert durations.recent("x") == percentiles("x", samples[i : i + 1000])
-    exact: dict[str, Any] = percentiles("x", samples)
+        assert durations.recent("x") == figures("x", samples[i : i + 1000])
+    exact: dict[str, Any] = figures("x", samples)
     found = durations.whole("x")
     assert found.keys() == exact.keys()
     assert found["x_max_us"] == exact["x_max_us"]
+    assert found["x_mean_us"] == exact["x_mean_us"]
     for name, value in exact.items():
         assert found[name] == pytest.approx(value, abs=1.0)
 
@@ -37,6 +38,7 @@ def test_long_and_negative_ones_are_counted_too() -> None:
     for ns in (-5_000, 12_300_000, 250_000_000, 99_000_000_000):
         durations.add(ns)
     assert durations.whole("x") == {
+        "x_mean_us": 24_815_573.8,
         "x_p50_us": 250_000.0,
         "x_p99_us": 9_999_000.0,
         "x_p999_us": 9_999_000.0,

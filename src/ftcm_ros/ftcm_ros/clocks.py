@@ -46,5 +46,5 @@ class ClockWatch:
         return {
             "clock_steps": self.steps,
             "clock_stepped_seconds": round(self.stepped_ns / NANOSECONDS, 3),
-            "suspended_seconds": round((running - steady - self._suspended) / NANOSECONDS, 3),
+            "suspended_seconds": round(max(0, running - steady - self._suspended) / NANOSECONDS, 3),
         }

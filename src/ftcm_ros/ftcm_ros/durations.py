@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Percentiles of durations over a run of any length, in memory that does not grow with it."""
+"""Mean and percentiles of durations over a run of any length, in memory that does not grow with it."""
 
 from __future__ import annotations
 
@@ -19,24 +19,26 @@ class Durations:
         """None yet."""
         self._recent = array("q")
         self._counts = array("L", bytes(2 * BINS * array("L").itemsize))
-        self._largest = 0
+        self._count = self._sum = self._largest = 0
 
     def add(self, ns: int) -> None:
         """Add one."""
         self._recent.append(ns)
 
     def recent(self, name: str) -> dict[str, float]:
-        """Return percentiles of those since the last call, exact, as :func:`percentiles` does."""
+        """Return the figures of those since the last call, exact, as :func:`figures` does."""
         recent, self._recent = self._recent, array("q")
         for ns in recent:
             self._counts[_bin(ns)] += 1
-            self._largest = max(self._largest, ns)
-        return percentiles(name, recent)
+        self._count += len(recent)
+        self._sum += sum(recent)
+        self._largest = max(self._largest, *recent, 0)
+        return figures(name, recent)
 
     def whole(self, name: str) -> dict[str, float]:
-        """Return percentiles of all, to 1 µs up to 10 ms and 1 ms beyond; the largest is exact."""
+        """Return those of all: percentiles to 1 µs up to 10 ms and 1 ms beyond, the others exact."""
         self.recent(name)
-        total = sum(self._counts)
+        total = self._count
         if not total:
             return {}
         found = {}
@@ -44,6 +46,7 @@ class Durations:
             rank = min(total - 1, int(share * total))
             found[label] = next(i for i, below in enumerate(accumulate(self._counts)) if below > rank)
         return {
+            f"{name}_mean_us": round(self._sum / total / 1000, 1),
             **{f"{name}_{label}_us": _start(i) / 1000 for label, i in found.items()},
             f"{name}_max_us": round(self._largest / 1000, 1),
         }
@@ -52,8 +55,8 @@ class Durations:
 SHARES = {"p50": 0.5, "p99": 0.99, "p999": 0.999}
 
 
-def percentiles(name: str, samples: Sequence[int]) -> dict[str, float]:
-    """Return p50, p99, p99.9 and the largest of samples in ns, as µs; nothing without samples."""
+def figures(name: str, samples: Sequence[int]) -> dict[str, float]:
+    """Return mean, p50, p99, p99.9 and the largest of samples in ns, as µs; nothing without samples."""
     if not samples:
         return {}
     ordered = sorted(samples)
@@ -61,7 +64,8 @@ def percentiles(name: str, samples: Sequence[int]) -> dict[str, float]:
         f"{name}_{label}_us": round(ordered[min(len(ordered) - 1, int(share * len(ordered)))] / 1000, 1)
         for label, share in SHARES.items()
     }
-    return {**found, f"{name}_max_us": round(ordered[-1] / 1000, 1)}
+    mean = round(sum(samples) / len(samples) / 1000, 1)
+    return {f"{name}_mean_us": mean, **found, f"{name}_max_us": round(ordered[-1] / 1000, 1)}
 
 
 def _bin(ns: int) -> int:

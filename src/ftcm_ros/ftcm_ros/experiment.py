@@ -37,10 +37,10 @@ from ftcm_ros.network import set_defaults
 from ftcm_ros.processes import NodeProcesses, describe_exit
 from ftcm_ros.settings import NODES
 from ftcm_ros.topics import DIAGNOSTICS
-from ftcm_ros.watch import Watch
+from ftcm_ros.watch import CHAIN, Watch
 
 PAPER_CONTROLLERS = ("smc", "nftsmc", "ftcm")
-PLANT_STOP_SECONDS = 3.0
+STOP_SECONDS = 3.0
 CLOSE_SECONDS = 15.0
 """How long the recorder may take to close the bag."""
 PATIENCE_SECONDS = 5.0
@@ -132,6 +132,7 @@ class Run:
             finally:
                 self.timing["run_seconds"] = round(time.monotonic() - began, 3)
                 self._close_bag()
+            self._deactivate(CHAIN, STOP_SECONDS)
         finally:
             codes = self.processes.stop()
             node.destroy_node()
@@ -228,17 +229,21 @@ class Run:
         Whatever has become of the other nodes; a node that does not answer is stopped afterwards.
         """
         self.processes.resume()
-        for name, seconds in (("plant", PLANT_STOP_SECONDS), ("recorder", CLOSE_SECONDS)):
-            if not self.processes.running(name):
-                continue
+        self._deactivate(("plant",), STOP_SECONDS)
+        self._deactivate(("recorder",), CLOSE_SECONDS)
 
-            def spin(name: str = name) -> None:
-                rclpy.spin_once(self.node, timeout_sec=0.05)
+    def _deactivate(self, names: tuple[str, ...], seconds: float) -> None:
+        """Let nodes end their run and say how it was, as far as they still can."""
+        running = [n for n in names if self.processes.running(n)]
+
+        def spin() -> None:
+            rclpy.spin_once(self.node, timeout_sec=0.05)
+            for name in running:
                 if not self.processes.running(name):
                     raise FtcmError(f"{name} has ended")
 
-            with contextlib.suppress(FtcmError):
-                drive([self.managed[name]], "deactivate", spin, seconds)
+        with contextlib.suppress(FtcmError):
+            drive([self.managed[n] for n in running], "deactivate", spin, seconds)
 
 
 def build_parser() -> argparse.ArgumentParser:

@@ -31,6 +31,7 @@ from ftcm_ros import scheduling
 from ftcm_ros.aligner import Aligner
 from ftcm_ros.codec import CodecError, JointSample, JointStateCodec
 from ftcm_ros.dataplane import DataPlane
+from ftcm_ros.durations import Durations
 from ftcm_ros.graph import join, joining
 from ftcm_ros.processes import end_with_parent
 from ftcm_ros.settings import setting
@@ -248,6 +249,10 @@ class SuiteNode(LifecycleNode):
     def health(self) -> tuple[str, str, dict[str, Any]]:
         """Return level (``ok``, ``warn``, ``error``), a message and values; services thread."""
 
+    def figures(self, name: str, durations: Durations) -> dict[str, float]:
+        """Mean and percentiles: while running, of the last second; then of the whole run."""
+        return durations.recent(name) if self.active else durations.whole(name)
+
     def report(self) -> None:
         """Publish this node's diagnostics."""
         now, (then, ticks) = time.monotonic(), self._report_marks
@@ -288,31 +293,9 @@ class SuiteNode(LifecycleNode):
             Path(HEARTBEAT).touch()
 
 
-class ExecutionTimes:
-    """Mean and largest execution time since they were last asked for."""
-
-    def __init__(self) -> None:
-        """Nothing measured yet."""
-        self.count = self.total = self.largest = 0
-
-    def add(self, elapsed_ns: int) -> None:
-        """Add one execution, ns."""
-        self.count += 1
-        self.total += elapsed_ns
-        if elapsed_ns > self.largest:
-            self.largest = elapsed_ns
-
-    def take(self) -> dict[str, float]:
-        """Return ``execution_mean_us`` and ``execution_max_us`` and begin anew."""
-        mean = self.total / self.count / 1000 if self.count else 0.0
-        found = {"execution_mean_us": round(mean, 1), "execution_max_us": round(self.largest / 1000, 1)}
-        self.count = self.total = self.largest = 0
-        return found
-
-
 def execution_level(times: dict[str, float]) -> str:
     """Level of a mean execution time: warn above 1 ms, error above 2 ms (as ros2_control has it)."""
-    mean = times["execution_mean_us"]
+    mean = times.get("execution_mean_us", 0.0)
     return "error" if mean > 2000 else "warn" if mean > 1000 else "ok"
 
 
@@ -322,7 +305,7 @@ class ReactiveNode(SuiteNode):
     def __init__(self, name: str) -> None:
         """Declare the common parameters; a subclass then calls :meth:`listen`."""
         super().__init__(name)
-        self.times = ExecutionTimes()
+        self.times = Durations()
         self.gaps = 0
         """Ticks skipped between two that were answered."""
         self.age_ns = 0
@@ -401,11 +384,12 @@ class ReactiveNode(SuiteNode):
     def configure(self) -> None:
         """Begin afresh with the next tick."""
         self.aligner.reset()
+        self.times = Durations()
         self._answer = []
 
     def health(self) -> tuple[str, str, dict[str, Any]]:
         """Execution times, gaps and age of inputs."""
-        times = self.times.take()
+        times = self.figures("execution", self.times)
         level = execution_level(times)
         message = "active" if self.active else "inactive"
         if self.gaps:

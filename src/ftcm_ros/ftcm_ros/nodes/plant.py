@@ -16,7 +16,7 @@ from ftcm_core.signals import NANOSECONDS, TrueDisturbance, seconds
 from ftcm_core.trace import ENDED_EARLY
 from ftcm_ros.clocks import ClockWatch
 from ftcm_ros.durations import Durations
-from ftcm_ros.nodes.base import POLL_NS, ExecutionTimes, SuiteNode, run
+from ftcm_ros.nodes.base import POLL_NS, SuiteNode, run
 from ftcm_ros.pacing import PACERS, Misses, RealTime
 from ftcm_ros.topics import CLOCK, DISTURBANCE, JOINT_STATES, RECORDED, SCENARIO, TORQUES, TRUE_STATE, Topic
 
@@ -48,7 +48,6 @@ class PlantNode(SuiteNode):
             self.plane.subscribe(topic, self._handler(topic))
         self.plane.subscribe(RECORDED, self._on_recorded)
         self._recorded_ns = -1
-        self.times = ExecutionTimes()
         self._clocks = ClockWatch()
         self.state = "waiting"
         self.detail = ""
@@ -99,6 +98,7 @@ class PlantNode(SuiteNode):
             latest.update(time_ns=-1, value=(0.0,) * self.scenario.robot.joints)
         self.latencies = Durations()
         self.lateness = Durations()
+        self.times = Durations()
         self._answered = False
         self._finished = False
         self._published_at = 0
@@ -236,7 +236,6 @@ class PlantNode(SuiteNode):
 
     def health(self) -> tuple[str, str, dict[str, Any]]:
         """State of the run, misses per cause, latency and jitter."""
-        times = self.times.take()
         misses = self.misses
         level = "ok"
         if misses.total and self.ticks:
@@ -266,14 +265,10 @@ class PlantNode(SuiteNode):
             "safe_stops": self.safe_stops,
             "safe_stop_ticks": self.safe_stop_ticks,
             **self._clocks.look(),
-            **self._percentiles("latency", self.latencies),
-            **self._percentiles("jitter", self.lateness),
-            **times,
+            **self.figures("latency", self.latencies),
+            **self.figures("jitter", self.lateness),
+            **self.figures("execution", self.times),
         }  # fmt: skip
-
-    def _percentiles(self, name: str, durations: Durations) -> dict[str, float]:
-        """While running, of the last second; then of the whole run."""
-        return durations.recent(name) if self.active else durations.whole(name)
 
 
 def main() -> None:
