@@ -92,10 +92,12 @@ def test_messages_come_whole_and_in_order_and_only_while_the_main_thread_polls(
     assert len(got) == 100  # stopped is stopped
 
 
+@pytest.mark.parametrize("fresh_ns", [dataplane.FRESH_NS, 0])
 def test_what_gathers_is_handled_on_the_main_thread_and_nothing_is_left_behind(
-    node: Node, watcher: Any
+    node: Node, watcher: Any, monkeypatch: pytest.MonkeyPatch, fresh_ns: int
 ) -> None:
-    """Four disturbances end the wait; what comes without them is there when the time is up."""
+    """The newest disturbance ends the wait, or four that are old; the rest is there when the time is up."""
+    monkeypatch.setattr(dataplane, "FRESH_NS", fresh_ns)
     got: list[tuple[str, int, bool]] = []
     plane = DataPlane(node, "listener", DISTURBANCE)
 

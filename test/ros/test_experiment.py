@@ -70,6 +70,8 @@ def test_lockstep_equals_the_in_process_run(experiment: Experiment, tmp_path: Pa
     overrides = ["duration=1.0", "injection.faults.0.start=0.5"]
     run = experiment("paper", "--controllers", controller, *(a for o in overrides for a in ("--set", o)))
     assert run.returncode == 0, run.stderr
+    logs = tmp_path / "runs" / "test" / "logs" / controller
+    assert not [n for n in NODES if "WARN" in (logs / f"{n}.log").read_text()]  # as of a transition refused
     bag = bag_of(tmp_path, controller)
     assert bag.missing == {}
     assert bag.trace.status == "completed"

@@ -33,16 +33,23 @@ class Managed:
         self._get = node.create_client(GetState, f"/{name}/get_state")
         self._pending: Any = None
         self._asked: Any = None
+        self._ask_first = False
         self._since = 0.0
         self.transition = ""
         self.done = True
         self.refused = False
 
-    def begin(self, transition: str) -> None:
-        """Begin a transition, one of :data:`TRANSITIONS`."""
+    def begin(self, transition: str, ask_first: bool = False) -> None:
+        """Begin a transition, one of :data:`TRANSITIONS`.
+
+        Args:
+            transition: which.
+            ask_first: the node may have made it by itself; asked for it again, it would not answer.
+        """
         self.transition = transition
         self.done = self.refused = False
         self._pending = self._asked = None
+        self._ask_first = ask_first
 
     def poll(self) -> None:
         """Look at what has come and ask on; sets ``done``, and ``refused`` if the node would not."""
@@ -50,21 +57,30 @@ class Managed:
             return
         number, target = TRANSITIONS[self.transition]
         now = time.monotonic()
-        if self._pending is None:
+        if self._ask_first:
+            if self._get.service_is_ready():
+                self._ask(now)
+                self._ask_first = False
+        elif self._pending is None and self._asked is None:
             if self._change.service_is_ready():
                 self._pending = self._change.call_async(ChangeState.Request(transition=Transition(id=number)))
                 self._since = now
-        elif self._pending.done():
+        elif self._pending is not None and self._pending.done():
             self.done, self.refused = True, not self._pending.result().success
         elif self._asked is not None and self._asked.done():
             state = self._asked.result().current_state.id
             self._asked, self._since = None, now
             if state == target:
                 self.done = True
-            elif state < State.TRANSITION_STATE_CONFIGURING:  # not under way: ask for it once more
+            elif state < State.TRANSITION_STATE_CONFIGURING:  # not under way: ask for it
                 self._pending = None
+            elif self._pending is None:  # under way by itself
+                self._ask_first = True
         elif now - self._since > ASK_AGAIN_SECONDS and self._get.service_is_ready():
-            self._asked, self._since = self._get.call_async(GetState.Request()), now
+            self._ask(now)
+
+    def _ask(self, now: float) -> None:
+        self._asked, self._since = self._get.call_async(GetState.Request()), now
 
 
 def drive(nodes: list[Managed], transition: str, spin: Callable[[], None], timeout: float) -> str:
@@ -80,7 +96,7 @@ def drive(nodes: list[Managed], transition: str, spin: Callable[[], None], timeo
         Empty, or the name of a node that did not make it.
     """
     for managed in nodes:
-        managed.begin(transition)
+        managed.begin(transition, ask_first=transition == "deactivate")
     end = time.monotonic() + timeout
     while not all(m.done for m in nodes):
         spin()

@@ -65,7 +65,7 @@ class Pacer(ABC):
 class Lockstep(Pacer):
     """A tick ends when its torque and disturbance are here, however long that takes."""
 
-    patience_ns: int = NANOSECONDS // 10
+    patience_ns: int = NANOSECONDS // 50
 
     def begin(self) -> None:
         """Nothing to remember: only messages drive the ticks."""

@@ -127,10 +127,7 @@ class PlantNode(SuiteNode):
 
     def step(self) -> None:
         """One round: wait for the end of the tick, go on to the next."""
-        if self._finished:
-            self._finished = False
-            self.trigger_deactivate()
-        elif not self.active:
+        if self._finished or not self.active:
             self.plane.poll(POLL_NS)
         elif self.pacer.wait(self._ready, self._poll):
             self._end_of_tick()
@@ -232,7 +229,7 @@ class PlantNode(SuiteNode):
         self.elapsed = time.monotonic() - self._began
         self.get_logger().info(f"{state}: {detail}")
         self._finished = True
-        self.plane.wake()
+        self.plane.serve(self.trigger_deactivate)
 
     def health(self) -> tuple[str, str, dict[str, Any]]:
         """State of the run, misses per cause, latency and jitter."""
