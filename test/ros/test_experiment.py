@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 import json
+import os
 import signal
 import subprocess
 import time
@@ -262,6 +263,32 @@ def test_a_run_that_diverges_is_a_result(experiment: Experiment, tmp_path: Path)
     assert bag.trace.detail == expected.detail
     assert differing(bag.trace, expected) == []
     assert bag_of(tmp_path, "ctc").trace.status == "completed"
+
+
+@pytest.mark.skipif(
+    "FTCM_TEST_SET_CLOCK" not in os.environ, reason="needs FTCM_TEST_SET_CLOCK=1: sets the time"
+)
+def test_the_system_time_is_set_back_for_longer_than_a_node_may_be_silent(
+    start: Start, tmp_path: Path
+) -> None:
+    arguments = ["--controllers", "ftcm", "--mode", "real_time", "--set", "duration=20", "--name", "test"]
+    process = start("experiment", "paper", *arguments, "--no-figures")
+    while not (tmp_path / "runs" / "test" / "bags" / "ftcm").exists():
+        assert process.poll() is None, process.communicate()
+        time.sleep(0.1)
+    time.sleep(2)
+    time.clock_settime(time.CLOCK_REALTIME, time.time() - 100)
+    try:
+        time.sleep(10)
+    finally:
+        time.clock_settime(time.CLOCK_REALTIME, time.time() + 100)
+    _, err = process.communicate(timeout=120)
+    assert process.returncode == 0, err
+    bag = bag_of(tmp_path, "ftcm")
+    assert bag.missing == {}
+    assert bag.trace.ticks == 20_001
+    assert bag.nodes["plant"]["clock_steps"] == "2"
+    assert float(bag.nodes["plant"]["clock_stepped_seconds"]) == pytest.approx(0.0, abs=0.1)
 
 
 def test_nodes_that_somebody_else_starts(

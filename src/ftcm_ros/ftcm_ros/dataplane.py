@@ -33,6 +33,7 @@ from rclpy.node import Node
 from rclpy.publisher import Publisher
 from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
 from rclpy.subscription import Subscription
+from rclpy.task import Task
 
 from ftcm_core.scenario import Scenario
 from ftcm_ros.sources import Source
@@ -273,9 +274,9 @@ class DataPlane:
             self._thread = threading.Thread(target=self._serve, name="services", daemon=True)
             self._thread.start()
 
-    def serve(self, work: Callable[[], Any]) -> None:
+    def serve(self, work: Callable[[], Any]) -> Task:
         """Have something done where the node's other callbacks are: after one of them, never beside it."""
-        self._executor.create_task(work)
+        return self._executor.create_task(work)
 
     def _serve(self) -> None:
         try:
