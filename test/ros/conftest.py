@@ -25,7 +25,7 @@ except ImportError:  # the test modules skip themselves, with the reason
     rclpy = None
 
 from ftcm_core.errors import FtcmError
-from ftcm_ros.domain import DOMAINS, PORT_BASE, PORT_GAIN, Domain
+from ftcm_ros.domain import DOMAINS, Domain, ports_of
 from ftcm_ros.network import PROFILES
 
 HANG_SECONDS = 120.0
@@ -46,7 +46,7 @@ def domain(monkeypatch: pytest.MonkeyPatch) -> int:
 @pytest.fixture
 def shared_memory(domain: int) -> Callable[[], list[str]]:
     """Returns the shared-memory files of the domain's ports."""
-    ports = range(PORT_BASE + PORT_GAIN * domain, PORT_BASE + PORT_GAIN * (domain + 1))
+    ports = ports_of(domain)
 
     def find() -> list[str]:
         return [f.name for f in Path("/dev/shm").iterdir() if any(f"port{p}" in f.name for p in ports)]

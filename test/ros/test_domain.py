@@ -13,7 +13,15 @@ from pathlib import Path
 import pytest
 
 from ftcm_core.errors import FtcmError
-from ftcm_ros.domain import DOMAINS, PORT_BASE, PORT_GAIN, SETTLED_SECONDS, Domain, remove_dead_shared_memory
+from ftcm_ros.domain import (
+    DOMAINS,
+    PORT_BASE,
+    PORT_GAIN,
+    SETTLED_SECONDS,
+    Domain,
+    has_new_ports,
+    remove_dead_shared_memory,
+)
 
 DOMAIN = 7
 PORT = PORT_BASE + PORT_GAIN * DOMAIN + 11
@@ -87,6 +95,15 @@ def test_a_lock_file_made_just_now_is_left_alone(tmp_path: Path) -> None:
     make(tmp_path, "fastrtps_00000000000000cc")
     assert remove_dead_shared_memory(DOMAIN, tmp_path) == []
     assert len(left(tmp_path)) == 2
+
+
+def test_a_new_port_of_the_domain_is_known_to_be_one(tmp_path: Path) -> None:
+    """Whoever gives the domain back waits for it to become old."""
+    make(tmp_path, f"fastrtps_port{PORT}_el")
+    make(tmp_path, "fastrtps_port7012_el", f"fastrtps_port{PORT - 1000}_el", age=0.0)
+    assert not has_new_ports(DOMAIN, tmp_path)
+    make(tmp_path, f"fastrtps_port{PORT + 1}_el", age=0.0)
+    assert has_new_ports(DOMAIN, tmp_path)
 
 
 @pytest.mark.parametrize(("age", "stays"), [(0.0, True), (10.0, False)])

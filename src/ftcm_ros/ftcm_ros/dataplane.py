@@ -145,7 +145,8 @@ class DataPlane:
         """Held by whoever may touch the node's data: by the main thread, except while it polls."""
         self._executor = SingleThreadedExecutor(context=node.context)
         self._thread: threading.Thread | None = None
-        self._serving = True
+        self._timer: threading.Thread | None = None
+        self._stopped = threading.Event()
 
     def subscribe(self, topic: Topic, handler: Handler) -> None:
         """Hand every message of a topic to a handler, serialized, on the main thread, once opened.
@@ -278,9 +279,24 @@ class DataPlane:
         """Have something done where the node's other callbacks are: after one of them, never beside it."""
         return self._executor.create_task(work)
 
+    def serve_every(self, seconds: float, work: Callable[[], Any]) -> None:
+        """Have something done now and then, by the steady clock.
+
+        A timer of the executor stands still while the system time, set back, catches up.
+        """
+
+        def ask() -> None:
+            task = None
+            while not self._stopped.wait(seconds):
+                if task is None or task.done():
+                    task = self.serve(work)
+
+        self._timer = threading.Thread(target=ask, name="timer", daemon=True)
+        self._timer.start()
+
     def _serve(self) -> None:
         try:
-            while self._serving and self._node.context.ok():  # a shut-down executor says nothing
+            while not self._stopped.is_set() and self._node.context.ok():  # a shut-down executor says nothing
                 self._spin(None)
         except (ExternalShutdownException, ShutdownException):
             return
@@ -297,7 +313,9 @@ class DataPlane:
     def stop(self) -> None:
         """Stop serving; the data plane is not used after this."""
         self._ignore()
-        self._serving = False
+        self._stopped.set()
+        if self._timer is not None:
+            self._timer.join()
         self._executor.shutdown(timeout_sec=STOP_SECONDS)
         if self._thread is not None:
             self._thread.join(timeout=STOP_SECONDS)

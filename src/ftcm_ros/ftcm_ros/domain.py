@@ -41,7 +41,7 @@ class Domain:
             if lock is not None:
                 self.number = number
                 self._file = lock
-                self.clean()
+                remove_dead_shared_memory(number)
                 return
         what = f"domain {wanted} is" if wanted is not None else "all domains are"
         raise FtcmError(
@@ -64,8 +64,12 @@ class Domain:
         return self._file.fileno()
 
     def clean(self) -> None:
-        """Remove the shared memory that killed nodes have left."""
+        """Remove the shared memory that killed nodes have left, once it can be told from that in use."""
         remove_dead_shared_memory(self.number)
+        end = time.monotonic() + SETTLED_SECONDS
+        while has_new_ports(self.number) and time.monotonic() < end:
+            time.sleep(0.1)
+            remove_dead_shared_memory(self.number)
 
     def release(self) -> None:
         """Give the domain back, clean."""
@@ -84,13 +88,12 @@ def remove_dead_shared_memory(domain: int, folder: Path = Path("/dev/shm")) -> l
         Names of the files removed. What a process is using has its lock held and stays.
     """
     removed = []
-    ports = range(PORT_BASE + PORT_GAIN * domain, PORT_BASE + PORT_GAIN * (domain + 1))
     for path in sorted(folder.glob("*fastrtps_*")):
-        port = re.fullmatch(r"(?:sem\.)?fastrtps_port(\d+)(?:_el|_sl|_mutex)?", path.name)
+        port = _port(path)
         segment = re.fullmatch(r"fastrtps_([0-9a-f]{16})(?:_el)?", path.name)
-        shared = port is not None and int(port.group(1)) in SHARED_PORTS
-        if port and (shared or int(port.group(1)) in ports):
-            locks = [folder / f"fastrtps_port{port.group(1)}{kind}" for kind in ("_el", "_sl")]
+        shared = port in SHARED_PORTS
+        if shared or port in ports_of(domain):
+            locks = [folder / f"fastrtps_port{port}{kind}" for kind in ("_el", "_sl")]
         elif segment:
             locks = [folder / f"fastrtps_{segment.group(1)}_el"]
         else:
@@ -104,6 +107,28 @@ def remove_dead_shared_memory(domain: int, folder: Path = Path("/dev/shm")) -> l
         except OSError:  # another user's, or gone already
             continue
     return removed
+
+
+def has_new_ports(domain: int, folder: Path = Path("/dev/shm")) -> bool:
+    """Whether a shared-memory port of this domain is so new that it may be in use, or not any more."""
+    for path in folder.glob("fastrtps_port*"):
+        try:
+            if _port(path) in ports_of(domain) and _is_new(path.stat()):
+                return True
+        except OSError:  # gone already
+            continue
+    return False
+
+
+def ports_of(domain: int) -> range:
+    """Ports of a domain."""
+    return range(PORT_BASE + PORT_GAIN * domain, PORT_BASE + PORT_GAIN * (domain + 1))
+
+
+def _port(path: Path) -> int:
+    """Number of the port that a file in shared memory belongs to; -1 if it is none's."""
+    port = re.fullmatch(r"(?:sem\.)?fastrtps_port(\d+)(?:_el|_sl|_mutex)?", path.name)
+    return int(port.group(1)) if port else -1
 
 
 def _is_free(lock: Path) -> bool:

@@ -81,8 +81,6 @@ class SuiteNode(LifecycleNode):
         self._report_marks = (time.monotonic(), 0)
         self._time_marks = (0.0, 0.0)
         """Processor time and time without a processor when the run began, s."""
-        self._report_at = time.monotonic() + REPORT_SECONDS
-        self._reported: Any = None
         self._main = threading.current_thread()
         self._work: list[tuple[Callable[[], Any], threading.Event, list[Any]]] = []
 
@@ -192,6 +190,7 @@ class SuiteNode(LifecycleNode):
     def spin(self) -> None:
         """Run the main loop until asked to stop."""
         self.plane.start()
+        self.plane.serve_every(REPORT_SECONDS, self.report)
         with self.plane.turn:
             if self.autostart:
                 self.trigger_configure()
@@ -201,7 +200,6 @@ class SuiteNode(LifecycleNode):
             try:
                 while not self.stopping:
                     self.do_main_thread_work()
-                    self._report_now_and_then()
                     self.step()
                 self.do_main_thread_work()
             except Exception:
@@ -254,13 +252,6 @@ class SuiteNode(LifecycleNode):
     def figures(self, name: str, durations: Durations) -> dict[str, float]:
         """Mean and percentiles: while running, of the last second; then of the whole run."""
         return durations.recent(name) if self.active else durations.whole(name)
-
-    def _report_now_and_then(self) -> None:
-        """Once a second; a timer of the executor stands still while the system time, set back, catches up."""
-        now = time.monotonic()
-        if now >= self._report_at and (self._reported is None or self._reported.done()):
-            self._report_at = max(self._report_at + REPORT_SECONDS, now)
-            self._reported = self.plane.serve(self.report)
 
     def report(self) -> None:
         """Publish this node's diagnostics."""
