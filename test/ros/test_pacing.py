@@ -7,18 +7,20 @@ from collections.abc import Callable
 
 import pytest
 
-from ftcm_ros.pacing import Lockstep, RealTime
+from ftcm_ros.pacing import LEAD_NS, Lockstep, RealTime
 
 DT = 1_000_000
 
 
 class FakeClock:
-    """Time that passes only when something waits or works."""
+    """Time that passes only when something waits, works, or looks at it."""
 
-    def __init__(self) -> None:
+    def __init__(self, look_ns: int = 0) -> None:
         self.now = 10**12
+        self.look_ns = look_ns
 
     def __call__(self) -> int:
+        self.now += self.look_ns
         return self.now
 
     def poll(self, timeout_ns: int) -> None:
@@ -59,8 +61,13 @@ def test_real_time_skips_what_a_pause_has_missed(pause: int, skipped: int) -> No
     assert 0 < clock.now - before <= DT, "the tick after the pause is an ordinary one, not a burst"
 
 
-def test_real_time_does_not_wait_past_the_deadline_for_messages() -> None:
-    clock = FakeClock()
+@pytest.mark.parametrize(
+    ("ready", "last"), [(True, []), (False, [LEAD_NS])], ids=["looks at the clock", "takes messages in"]
+)
+def test_real_time_is_awake_before_the_deadline_and_does_not_wait_past_it(
+    ready: bool, last: list[int]
+) -> None:
+    clock = FakeClock(look_ns=1)
     pacer = real_time(clock)
     waits: list[int] = []
 
@@ -68,8 +75,10 @@ def test_real_time_does_not_wait_past_the_deadline_for_messages() -> None:
         waits.append(timeout_ns)
         clock.now += min(timeout_ns, 300_000)
 
-    pacer.wait(lambda: True, poll)
-    assert waits == [1_000_000, 700_000, 400_000, 100_000]
+    pacer.wait(lambda: ready, poll)
+    expected = [*(w - LEAD_NS for w in (1_000_000, 700_000, 400_000, 100_000)), *last]
+    assert waits == pytest.approx(expected, abs=10)
+    assert 0 <= clock.now - (pacer.deadline - DT) <= 2
 
 
 @pytest.mark.parametrize("polls", [0, 1, 5])

@@ -13,6 +13,9 @@ from dataclasses import dataclass, field
 
 from ftcm_core.signals import NANOSECONDS
 
+LEAD_NS = 60_000
+"""How long before a deadline the plant is awake; the waking of a thread takes about as long."""
+
 Ready = Callable[[], bool]
 Poll = Callable[[int], None]
 """Wait for messages for at most so many ns and take them in."""
@@ -96,9 +99,12 @@ class RealTime(Pacer):
         self.deadline = self.clock() + self.dt_ns
 
     def wait(self, ready: Ready, poll: Poll) -> bool:
-        """Take messages in until the deadline."""
+        """Take messages in until the deadline; with nothing to come any more, look at the clock at last."""
         while (left := self.deadline - self.clock()) > 0:
-            poll(left)
+            if left > LEAD_NS:
+                poll(left - LEAD_NS)
+            elif not ready():
+                poll(left)
         late = -left
         self.max_late = max(self.max_late, late)
         skipped = late // self.dt_ns

@@ -117,6 +117,7 @@ class PlantNode(SuiteNode):
         self._publish_scenario(String(data=self.scenario.to_yaml()))
         self._began = time.monotonic()
         self.elapsed = 0.0
+        self._prepare(0)
         self._publish_measurement()
         self.pacer.begin()
 
@@ -174,6 +175,7 @@ class PlantNode(SuiteNode):
                     self.stage.step(torque["value"], d)
             except (ArithmeticError, ValueError) as error:
                 self._raised = str(error)
+            self._prepare(self.time_ns + self.scenario.dt_ns)
             self.times.add(time.monotonic_ns() - begin)
 
     def _stop_safely(self, overdue: bool) -> bool:
@@ -210,14 +212,20 @@ class PlantNode(SuiteNode):
     def _missed(self, topic: Topic) -> bool:
         return self._inputs[topic]["time_ns"] < self.time_ns and self.plane.has_publisher(topic)
 
+    def _prepare(self, time_ns: int) -> None:
+        """Encode what is published at the beginning of a tick, ahead of it."""
+        stage = self.stage
+        self._measurement = self.codec.state.encode(time_ns, *stage.measure())
+        if self._publish_truth is not None:
+            self._truth = self.codec.motion.encode(time_ns, stage.position, stage.velocity)
+
     def _publish_measurement(self) -> None:
         self._published_at = time.monotonic_ns()
         if isinstance(self.pacer, RealTime) and self.tick:
             self.lateness.add(self._published_at - self.pacer.deadline + self.scenario.dt_ns)
-        stage = self.stage
-        self._publish(self.codec.state.encode(self.time_ns, *stage.measure()))
+        self._publish(self._measurement)
         if self._publish_truth is not None:
-            self._publish_truth(self.codec.motion.encode(self.time_ns, stage.position, stage.velocity))
+            self._publish_truth(self._truth)
         if self.time_ns % CLOCK_PERIOD_NS == 0:
             sec, nanosec = divmod(self.time_ns, NANOSECONDS)
             self._publish_clock(
