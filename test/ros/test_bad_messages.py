@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 import shutil
+import signal
 import struct
 import tempfile
 import tracemalloc
@@ -404,6 +405,60 @@ def test_a_node_outlives_bad_messages(start: Callable[..., Any], watcher: Any, n
     good = CODEC.state.encode(0, (0.0,) * 3, (0.0,) * 3, (0.0,) * 3)
     watcher.spin_until(lambda: publisher.publish(good) or answers, "an answer to the message that fits")
     assert all(np.isfinite(answers[0].effort))
+
+
+def test_what_is_no_tick_of_the_run_is_left_out_of_a_bag(tmp_path: Path) -> None:
+    """As another recorder takes it, or another node has sent it; the run is read as if it were not there."""
+    scenario = load("paper", ["duration=0.02"])
+    trace = simulate(scenario)
+    other = JointStateCodec(("jointA", "jointB", "jointC"))
+    recording = Recording(tmp_path / "bag", "mcap", scenario)
+    bad = [
+        other.state.encode(3_000_000, *((9.0,) * 3,) * 3),  # of the usual size
+        CODEC.state.encode(3_000_001, *((9.0,) * 3,) * 3),
+        CODEC.state.encode(10**15, *((9.0,) * 3,) * 3),
+        CODEC.state.encode(-1_000_000, *((9.0,) * 3,) * 3),
+        b"\x00\x01\x00\x00" + bytes(20),
+    ]
+    for k, time_ns in enumerate(trace.time_ns.tolist()):
+        q, v, u = (tuple(a[k].tolist()) for a in (trace.position, trace.velocity, trace.effort))
+        recording.write(JOINT_STATES, 10**18 + time_ns, CODEC.state.encode(time_ns, q, v, u))
+        recording.write(
+            TORQUES, 10**18 + time_ns + 10, CODEC.torque.encode(time_ns, trace.command[k].tolist())
+        )
+        if k == 7:
+            for i, message in enumerate(bad):
+                recording.write(JOINT_STATES, 10**18 + time_ns + i, message)
+    recording.close()
+    bag = read_bag(tmp_path / "bag")
+    assert bag.unusable == {"joint_states": len(bad)}
+    assert bag.trace.status == "completed"
+    assert {"joint_states", "joint_torques"} & set(bag.missing) == set()
+    for column in ("position", "velocity", "effort", "command"):
+        assert np.array_equal(getattr(bag.trace, column), getattr(trace, column))
+
+
+@pytest.mark.ros
+def test_a_recorder_outlives_bad_messages(start: Callable[..., Any], watcher: Any, tmp_path: Path) -> None:
+    """None is in the bag, which is closed and can be read."""
+    process = start("nodes.recorder", "--ros-args", "-p", "bag:=bag")
+    publisher = watcher.node.create_publisher(JointState, "/joint_states", 1000)
+    health = health_of(watcher)
+    watcher.spin_until(lambda: publisher.get_subscription_count() == 1 and health, "the recorder")
+    messages = bad_messages(200)
+    messages += [JointStateCodec(("jointA", "jointB", "jointC")).state.encode(0, *((9.0,) * 3,) * 3)] * 100
+    good = CODEC.state.encode(0, (0.0,) * 3, (0.0,) * 3, (0.0,) * 3)
+    for message in (*messages, good):
+        publisher.publish(message)
+    watcher.spin_until(lambda: int(health["refused"]) >= len(messages), "all refusals in the diagnostics")
+    assert int(health["refused"]) == len(messages)
+    watcher.spin_until(lambda: health["joint_states_messages"] == "1", "the message that fits")
+    process.send_signal(signal.SIGINT)
+    out, err = process.communicate(timeout=60)
+    assert process.returncode == 0, out + err
+    bag = read_bag(tmp_path / "bag")
+    assert bag.unusable == {}
+    assert bag.trace.ticks == 1
 
 
 def test_thousands_of_bad_messages() -> None:

@@ -87,11 +87,11 @@ def test_every_data_path_and_storage_gives_the_same(
 ) -> None:
     overrides = ["duration=0.4", "torque_limits=[97.6, 186.4, 89.4]"]
     arguments = [a for o in overrides for a in ("--set", o)]
-    run = experiment("paper", "--controllers", "smc", "--data-path", path, "--storage", storage, *arguments)
+    run = experiment("paper", "--controllers", "ftcm", "--data-path", path, "--storage", storage, *arguments)
     assert run.returncode == 0, run.stderr
-    bag = bag_of(tmp_path, "smc")
+    bag = bag_of(tmp_path, "ftcm")
     assert bag.missing == {}
-    assert differing(bag.trace, simulate(load("paper", overrides, controller="smc"))) == []
+    assert differing(bag.trace, simulate(load("paper", overrides))) == []
 
 
 def test_sensor_and_delay_over_the_graph(experiment: Experiment, tmp_path: Path) -> None:
@@ -124,7 +124,9 @@ def test_the_paper_experiment_over_the_graph(experiment: Experiment, tmp_path: P
     )
     assert {"results", "provenance", "timing", "mode"} <= set(summary)
     assert set(summary["timing_us"]["ftcm"]) == {"observer", "controller", "injector", "chain"}
-    assert "Table 2" in (tmp_path / "runs" / "test" / "table.md").read_text()
+    table = (tmp_path / "runs" / "test" / "table.md").read_text()
+    assert "Table 2" in table
+    assert "missed deadlines" not in table
 
 
 def test_real_time_counts_every_miss_and_holds_the_torque(experiment: Experiment, tmp_path: Path) -> None:
@@ -149,6 +151,17 @@ def test_real_time_counts_every_miss_and_holds_the_torque(experiment: Experiment
     assert held <= misses["late_torque"], misses
     assert braked <= int(plant["safe_stop_ticks"])
     assert int(plant["missed_deadlines"]) == sum(misses.values())
+    for quantity in ("jitter", "latency", "execution"):
+        ordered = [float(plant[f"{quantity}_{p}_us"]) for p in ("p50", "p99", "p999", "max")]
+        assert 0 < ordered[0] <= ordered[1] <= ordered[2] <= ordered[3]
+    nodes = summary["timing"]["ftcm"]["nodes"]
+    assert all(float(nodes[n]["cpu_seconds"]) > 0 for n in NODES)
+    assert all(float(nodes[n]["execution_mean_us"]) > 0 for n in NODES if n != "recorder")
+    table = (tmp_path / "runs" / "test" / "table.md").read_text()
+    (row,) = [
+        line for line in table.splitlines() if line.startswith("| ftcm") and " / " in line and "3001" in line
+    ]
+    assert [c.strip() for c in row.split("|")][2:6] == ["3001", *map(str, misses.values())]
 
 
 def test_real_time_without_a_miss_is_the_in_process_run(experiment: Experiment, tmp_path: Path) -> None:

@@ -20,7 +20,7 @@ from ftcm_ros.bag import read_bag
 
 pytestmark = pytest.mark.ros
 
-COUNT = int(os.environ.get("FTCM_PARALLEL", "4"))
+COUNT = int(os.environ.get("FTCM_PARALLEL", "10"))
 CEILING = 280.0
 
 

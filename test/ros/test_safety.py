@@ -127,6 +127,7 @@ def test_no_module_but_the_watch_reads_the_system_time() -> None:
     }
     assert found == {
         "base.py: array.header.stamp = self.get_clock().now().to_msg()",
+        'dataplane.py: fresh = 0 <= time.time_ns() - taken[1]["source_timestamp"] < FRESH_NS',  # ages only
         "domain.py: return time.time() - stat.st_mtime < SETTLED_SECONDS",  # as files do
         "recording.py: time.time_ns(),",  # bags are in system time
     }
@@ -163,6 +164,8 @@ def test_a_bag_is_whole_when_the_system_time_is_set_while_it_is_written(
 rclpy = pytest.importorskip("rclpy", reason="ROS 2 (rclpy) is not installed")
 
 from diagnostic_msgs.msg import DiagnosticArray  # noqa: E402
+from lifecycle_msgs.msg import Transition  # noqa: E402
+from lifecycle_msgs.srv import ChangeState  # noqa: E402
 from sensor_msgs.msg import JointState  # noqa: E402
 
 
@@ -361,6 +364,55 @@ def test_without_torque_the_drives_brake_until_it_comes_again(graph: Graph, tmp_
     held = {m.effort[0]: m.header.stamp.sec * 100 + m.header.stamp.nanosec / 1e7
             for m in states if m.effort[1] == 0.25}  # fmt: skip
     assert max(last - tick for tick, last in held.items()) == pytest.approx(1 + 20), "its tick, and the held"
+
+
+@pytest.mark.ros
+def test_misses_are_counted_exactly_and_by_their_cause(graph: Graph, tmp_path: Path) -> None:
+    """Real time, 10 Hz: the hand that plays the other nodes withholds what it is told to."""
+    (tmp_path / "s.yaml").write_text(load("paper", ["dt=0.1", "duration=3"]).to_yaml(), encoding="utf-8")
+    no_torque, no_disturbance, neither = {4, 5, 9}, {7, 12}, {15, 16}
+    states = graph.listen("/joint_states")
+    graph.start("plant", mode="real_time", scenario="s.yaml", autostart="false")
+    torque, disturbance = graph.publisher("/joint_torques"), graph.publisher("/disturbance")
+    client = graph.node.create_client(ChangeState, "/plant/change_state")
+    graph.watcher.spin_until(client.service_is_ready, "the plant's lifecycle")
+    for transition in (Transition.TRANSITION_CONFIGURE, Transition.TRANSITION_ACTIVATE):
+        answer = client.call_async(ChangeState.Request(transition=Transition(id=transition)))
+        graph.watcher.spin_until(answer.done, "its transition")
+        assert answer.result().success
+    answered = 0
+    while answered < 31:
+        graph.watcher.spin_until(lambda n=answered: len(states) > n, f"the measurement of tick {answered}")
+        for k in range(answered, len(states)):
+            if k not in no_torque | neither:
+                torque.publish(stamped(k * 10**8, effort=[0.0] * 3))
+            if k not in no_disturbance | neither:
+                disturbance.publish(stamped(k * 10**8, effort=[0.0] * 3))
+        answered = len(states)
+    health = graph.until("plant", "state", lambda v: v == "completed")
+    counts = [int(health[c]) for c in ("late_torque", "late_disturbance", "plant_overrun")]
+    assert counts == [len(no_torque | neither), len(no_disturbance), 0]
+    assert int(health["missed_deadlines"]) == sum(counts)
+
+
+@pytest.mark.ros
+def test_a_publisher_that_has_gone_leaves_misses(graph: Graph, tmp_path: Path) -> None:
+    """A topic that never had a publisher is not waited for; one that had is, for the rest of the run."""
+    (tmp_path / "s.yaml").write_text(load("paper", ["dt=0.02", "duration=600"]).to_yaml(), encoding="utf-8")
+    states = graph.listen("/joint_states")
+    graph.start("plant", mode="real_time", scenario="s.yaml")
+    graph.watcher.spin_until(lambda: len(states) > 20, "ticks")
+    assert graph.until("plant", "tick", lambda v: v.isdecimal() and int(v) > 20)["late_torque"] == "0"
+    torque = graph.publisher("/joint_torques")
+    heard = len(states)
+    graph.watcher.spin_until(lambda: len(states) > heard, "a tick")
+    newest = states[-1].header.stamp
+    torque.publish(stamped(newest.sec * 10**9 + newest.nanosec, effort=[0.0] * 3))
+    graph.until("plant", "late_torque", lambda v: int(v) > 0)
+    graph.node.destroy_publisher(torque)
+    before = int(graph.until("plant", "late_torque", lambda v: int(v) > 50)["late_torque"])
+    health = graph.until("plant", "late_torque", lambda v: int(v) > before + 50)
+    assert health["late_disturbance"] == "0"
 
 
 @pytest.mark.ros

@@ -3,8 +3,11 @@
 
 from __future__ import annotations
 
+import json
+import shutil
 import subprocess
 import sys
+from pathlib import Path
 
 import pytest
 
@@ -57,6 +60,28 @@ def test_every_thread_gives_real_time_scheduling_back() -> None:
         pytest.skip(asked)
     assert asked == "[] True"
     assert given_back == "True"
+
+
+@pytest.mark.ros
+def test_what_is_not_permitted_is_said_once_and_kept(tmp_path: Path) -> None:
+    """Run without the capabilities, as ordinary users do."""
+    pytest.importorskip("rclpy", reason="ROS 2 (rclpy) is not installed")
+    if shutil.which("setpriv") is None:
+        pytest.skip("setpriv (util-linux) is not installed")
+    without = ["setpriv", "--bounding-set", "-sys_nice,-ipc_lock", "--inh-caps", "-sys_nice,-ipc_lock"]
+    process = subprocess.run(
+        [*without, sys.executable, "-m", "ftcm_ros.experiment", "paper", "--controllers", "ftcm",
+         "--name", "test", "--set", "duration=0.1", "--no-figures", "--priority", "50", "--lock-memory"],
+        cwd=tmp_path, capture_output=True, text=True, timeout=120, check=False,
+    )  # fmt: skip
+    assert process.returncode == 0, process.stderr
+    (line,) = [w for w in process.stderr.splitlines() if "not permitted" in w]
+    assert line.startswith(
+        "warning: ftcm: priority 50 is not permitted; ordinary scheduling is used. Allow it"
+    )
+    assert "memory cannot be locked" in line
+    nodes = json.loads((tmp_path / "runs" / "test" / "summary.json").read_text())["timing"]["ftcm"]["nodes"]
+    assert {"warning: ftcm: " + node["not_permitted"] for node in nodes.values()} == {line}
 
 
 def test_waits_end_in_time_and_waiting_for_a_processor_is_counted() -> None:

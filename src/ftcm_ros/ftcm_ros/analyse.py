@@ -12,7 +12,7 @@ from ftcm_core.errors import FtcmError
 from ftcm_core.report.results import labelled, new_folder, report, to_json, write_results
 from ftcm_core.scenario import load
 from ftcm_ros.bag import BagContents, read_bag
-from ftcm_ros.latency import hop_times, percentiles, write_figure
+from ftcm_ros.latency import hop_times, percentiles, timing_table, write_figure
 from ftcm_ros.recovery import repair
 
 
@@ -62,6 +62,8 @@ def analyse(options: argparse.Namespace) -> int:
             print(f"warning: {label}: the bag holds {bag.runs} runs; this is the last one", file=sys.stderr)
         if bag.recovered:
             print(f"warning: {label}: bag was not closed; recovered: {bag.recovered}", file=sys.stderr)
+        if bag.unusable:
+            print(f"warning: {label}: messages that are no tick left out: {bag.unusable}", file=sys.stderr)
         if bag.missing:
             print(f"warning: {label}: ticks missing in the bag: {bag.missing}", file=sys.stderr)
         if bag.trace.scenario is None:
@@ -75,12 +77,17 @@ def analyse(options: argparse.Namespace) -> int:
     extra = {
         "missing_ticks": {label: bag.missing for (label, _), bag in zip(traces, bags)},
         "timing_us": {label: percentiles(found) for label, found in samples},
+        "nodes": {label: bag.nodes for (label, _), bag in zip(traces, bags)},
     }
+    timing = timing_table([(label, bag) for (label, _), bag in zip(traces, bags)])
     if folder is not None:
-        write_results(folder, traces, extra)
+        write_results(folder, traces, extra, timing)
         write_figure(samples, folder / "figures" / "timing.png")
         print(f"results: {folder}/summary.json, table.md, figures/", file=sys.stderr)
-    print(to_json({"results": results, **extra}, indent=1) if options.json else report(results).rstrip())
+    if options.json:
+        print(to_json({"results": results, **extra}, indent=1))
+    else:
+        print(report(results, timing).rstrip())
     return 0
 
 

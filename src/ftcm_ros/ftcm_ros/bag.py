@@ -15,7 +15,7 @@ import yaml
 from rosbags.rosbag2 import Reader
 from rosbags.typesys import Stores, get_typestore
 
-from ftcm_core.errors import FtcmError
+from ftcm_core.errors import FtcmError, shown
 from ftcm_core.registry import find
 from ftcm_core.scenario import Scenario, from_mapping, parse_yaml
 from ftcm_core.signals import NANOSECONDS
@@ -70,6 +70,8 @@ class BagContents:
     """Time at which each message was published (system clock), ns, per data topic."""
     stamps: dict[str, npt.NDArray[np.int64]]
     """Stamp of each message, ns, per data topic."""
+    unusable: dict[str, int]
+    """Messages left out, as they are no tick of this robot's run, per topic; empty if there are none."""
     runs: int = 1
     """Runs in the bag; the trace is the last one."""
     recovered: str = ""
@@ -104,7 +106,19 @@ def read_bag(path: Path, scenario: Scenario | None = None) -> BagContents:
     if scenario is None and text:
         scenario = from_mapping(parse_yaml(text, str(path))[0], origin=f"{path}: recorded scenario")
     names = scenario.robot.joint_names if scenario else _joint_names(path, raw[JOINT_STATES.name][0])
-    decoded = {name: _decode(path, name, messages, names) for name, messages in raw.items() if messages}
+    codec = JointStateCodec(names)
+    decoded: dict[str, Decoded] = {}
+    unusable = {}
+    for name, messages in raw.items():
+        decoded[name], keep = _decode(codec, messages, scenario)
+        published[name] = published[name][keep]
+        if not keep.all():
+            unusable[name] = int(np.count_nonzero(~keep))
+    if not len(decoded[JOINT_STATES.name][0]):
+        raise FtcmError(
+            f"bag {str(path)!r}: no message on /{JOINT_STATES.name} is a tick of this run, "
+            f"of joints {shown(names)}"
+        )
     runs = _keep_last_run(decoded, published)
     recovered = metadata.get("recovered", "")
     if damage:
@@ -132,7 +146,7 @@ def read_bag(path: Path, scenario: Scenario | None = None) -> BagContents:
         joint_names=names, dt=dt_ns / 1e9, time_ns=stamps, **columns,
         scenario=scenario, status=status, detail=detail, changes=tuple(changes),
     )  # fmt: skip
-    return BagContents(path, trace, missing, nodes, metadata, published, stamps_of, runs, recovered)
+    return BagContents(path, trace, missing, nodes, metadata, published, stamps_of, unusable, runs, recovered)
 
 
 def _read_messages(path: Path) -> tuple[dict[str, list[bytes]], dict[str, npt.NDArray[np.int64]], str]:
@@ -211,19 +225,35 @@ def _joint_names(path: Path, message: bytes) -> tuple[str, ...]:
         raise FtcmError(f"bag {str(path)!r}: /{JOINT_STATES.name}: {error}") from None
 
 
-def _decode(path: Path, name: str, messages: Sequence[bytes], joint_names: tuple[str, ...]) -> Decoded:
-    codec = JointStateCodec(joint_names)
+def _decode(
+    codec: JointStateCodec, messages: Sequence[bytes], scenario: Scenario | None
+) -> tuple[Decoded, npt.NDArray[np.bool_]]:
+    """Return what a topic's messages say, and which of them are ticks of the run: the others are left out."""
+    keep = np.ones(len(messages), dtype=np.bool_)
     for layout in (codec.state, codec.torque, codec.motion):
         found = layout.decode_all(messages)
         if found is not None:
-            return found
-    try:
-        samples = [codec.decode(m) for m in messages]
-    except CodecError as error:
-        raise FtcmError(f"bag {str(path)!r}: /{name}: {error}") from None
-    nothing = (np.nan,) * len(joint_names)
-    arrays = [np.array([s[i] or nothing for s in samples], dtype=np.float64) for i in (1, 2, 3)]
-    return np.array([s.time_ns for s in samples], dtype=np.int64), [*arrays]
+            times, arrays = found
+            break
+    else:
+        samples = []
+        for i, message in enumerate(messages):
+            try:
+                samples.append(codec.decode(message))
+            except CodecError:
+                keep[i] = False
+        joints = len(codec.joint_names)
+        nothing = (np.nan,) * joints
+        times = np.array([s.time_ns for s in samples], dtype=np.int64)
+        arrays = [
+            np.array([s[i] or nothing for s in samples], dtype=np.float64).reshape(-1, joints)
+            for i in (1, 2, 3)
+        ]
+    if scenario is not None:
+        of_run = (times % scenario.dt_ns == 0) & (times >= 0) & (times <= scenario.last_tick * scenario.dt_ns)
+        keep[keep] = of_run
+        times, arrays = times[of_run], [None if a is None else a[of_run] for a in arrays]
+    return (times, arrays), keep
 
 
 def _keep_last_run(decoded: dict[str, Decoded], published: dict[str, npt.NDArray[np.int64]]) -> int:

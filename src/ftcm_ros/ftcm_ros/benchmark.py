@@ -33,6 +33,7 @@ from ftcm_ros.bag import read_bag
 from ftcm_ros.codec import JointStateCodec
 from ftcm_ros.dataplane import DataPlane
 from ftcm_ros.domain import Domain
+from ftcm_ros.latency import CAUSES
 from ftcm_ros.network import set_defaults
 from ftcm_ros.pacing import RealTime
 from ftcm_ros.settings import NODES
@@ -276,9 +277,7 @@ def measure(repetitions: int, seconds: float) -> list[tuple[str, str]]:
                 for name in NODES:
                     times[variant].setdefault(name, []).append(per_tick[name])
                 cpu = sum(busy for busy, _ in per_tick.values()) / 1000.0
-                causes = ", ".join(
-                    f"{c} {plant[c]}" for c in ("late_torque", "late_disturbance", "plant_overrun")
-                )
+                causes = ", ".join(f"{c} {plant[c]}" for c in CAUSES)
                 details[variant].append(f"{causes}; {cpu:.2f} cores")
         for variant in variants:
             rows.append(

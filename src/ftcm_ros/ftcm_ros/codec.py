@@ -146,8 +146,6 @@ class JointStateCodec:
         self.torque = Layout(joint_names, (False, False, True))
         """joint_torques, disturbance, disturbance_estimate: effort."""
         self._by_size = {layout.size: layout for layout in (self.state, self.motion, self.torque)}
-        self.sizes = frozenset(self._by_size)
-        """Bytes of the suite's own messages."""
 
     def decode(self, data: bytes) -> JointSample:
         """Decode any JointState that names all joints of this robot.

@@ -31,7 +31,7 @@ from ftcm_ros.bag import BagContents, read_bag
 from ftcm_ros.domain import Domain
 from ftcm_ros.external import AmbientDomain, ExternalNodes
 from ftcm_ros.graph import JoinError, join_as
-from ftcm_ros.latency import hop_times, percentiles, write_figure
+from ftcm_ros.latency import hop_times, percentiles, timing_table, write_figure
 from ftcm_ros.lifecycle_client import Managed, drive
 from ftcm_ros.network import set_defaults
 from ftcm_ros.processes import NodeProcesses, describe_exit
@@ -107,6 +107,8 @@ class Run:
                 [domain.fileno()],
             )
         self.health: dict[str, dict[str, str]] = {}
+        self._told = {""}
+        """What nodes were not permitted that the user has been told."""
         self.watch: Watch | None = None
         self.timing: dict[str, Any] = {}
 
@@ -194,6 +196,9 @@ class Run:
             name, _, what = status.name.partition(":")
             if name in NODES and what.strip() == "tick":
                 health = {"message": status.message, **{v.key: v.value for v in status.values}}
+                if (refused := health.get("not_permitted", "")) not in self._told:
+                    self._told.add(refused)
+                    say(f"warning: {self.label}: {refused}")
                 self.health[name] = health
                 if self.watch is not None:
                     self.watch.hear(name, int(health["ticks"]))
@@ -393,6 +398,8 @@ def read_bags(runs: list[Run]) -> tuple[list[tuple[str, BagContents]], list[str]
         found.append((run.label, bag))
         if bag.recovered:
             say(f"warning: {run.label}: bag was not closed; recovered: {bag.recovered}")
+        if bag.unusable:
+            say(f"warning: {run.label}: messages that are no tick left out: {bag.unusable}")
         if bag.missing:
             say(f"warning: {run.label}: ticks missing in the bag: {bag.missing}")
         if bag.trace.status != "completed":
@@ -421,9 +428,8 @@ def report(folder: Path, runs: list[Run], options: argparse.Namespace) -> list[s
         "missing_ticks": {label: bag.missing for label, bag in contents},
         "bags": {label: str(bag.path.relative_to(folder)) for label, bag in contents},
     }
-    write_results(
-        folder, [(label, bag.trace) for label, bag in contents], extra, figures=not options.no_figures
-    )
+    traces = [(label, bag.trace) for label, bag in contents]
+    write_results(folder, traces, extra, timing_table(contents), figures=not options.no_figures)
     if not options.no_figures:
         write_figure(samples, folder / "figures" / "timing.png")
     print((folder / "table.md").read_text(encoding="utf-8").rstrip())

@@ -10,9 +10,11 @@ import numpy.typing as npt
 
 from ftcm_core.errors import FtcmError
 from ftcm_core.report.results import writing
+from ftcm_core.report.table import markdown
 from ftcm_ros.bag import BagContents
 from ftcm_ros.topics import DISTURBANCE, ESTIMATE, JOINT_STATES, TORQUES
 
+CAUSES = ("late_torque", "late_disturbance", "plant_overrun")
 PERCENTILES = {"p50": 50.0, "p99": 99.0, "p999": 99.9, "max": 100.0}
 
 
@@ -52,6 +54,30 @@ def percentiles(samples: dict[str, npt.NDArray[np.float64]]) -> dict[str, dict[s
         }
         for name, v in samples.items()
     }
+
+
+def timing_table(runs: list[tuple[str, BagContents]]) -> str:
+    """Return what the plants of real-time runs have counted, in Markdown; nothing if there are none."""
+    causes = [cause.replace("_", " ") for cause in CAUSES]
+    rows = [["controller", "ticks", *causes, "lateness, µs", "latency, µs", "processors"]]
+    for label, bag in runs:
+        plant = bag.nodes.get("plant", {})
+        if plant.get("mode") != "real_time":
+            continue
+        figures = (
+            " / ".join(plant.get(f"{quantity}_{p}_us", "–") for p in PERCENTILES)
+            for quantity in ("jitter", "latency")
+        )
+        busy = sum(float(node.get("cpu_seconds", 0.0)) for node in bag.nodes.values())
+        processors = f"{busy / float(plant['elapsed_seconds']):.2f}"
+        rows.append([label, plant["ticks"], *(plant[c] for c in CAUSES), *figures, processors])
+    if len(rows) == 1:
+        return ""
+    return f"""Real time: missed deadlines by cause; how late ticks began, and how long after the measurement
+torque and disturbance were at the plant (p50 / p99 / p99.9 / max); processors that all nodes kept busy:
+
+{markdown(rows)}
+"""
 
 
 def write_figure(runs: list[tuple[str, dict[str, npt.NDArray[np.float64]]]], file: Path) -> None:

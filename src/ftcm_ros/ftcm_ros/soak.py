@@ -28,6 +28,7 @@ from ftcm_core.scenario import Scenario, load
 from ftcm_ros import experiment
 from ftcm_ros.codec import stamp_of
 from ftcm_ros.domain import Domain
+from ftcm_ros.latency import CAUSES
 from ftcm_ros.recording import TopicCount
 from ftcm_ros.topics import data_topics
 
@@ -176,7 +177,7 @@ def figures(
     scenario, plant = run.scenario, run.health["plant"]
     ticks = scenario.last_tick + 1
     missed = int(plant["missed_deadlines"])
-    causes = ", ".join(f"{c} {plant[c]}" for c in ("late_torque", "late_disturbance", "plant_overrun"))
+    causes = ", ".join(f"{c} {plant[c]}" for c in CAUSES)
     jitter = ", ".join(f"{p} {plant[f'jitter_{p}_us']}" for p in ("p50", "p99", "p999", "max"))
     size = sum(f.stat().st_size for f in run.bag.iterdir()) / 1e6
     messages = sum(c.messages for c in counts.values())

@@ -51,6 +51,7 @@ def write_results(
     folder: Path,
     traces: Sequence[tuple[str, Trace]],
     extra: Mapping[str, Any] | None = None,
+    more: str = "",
     *,
     figures: bool = True,
 ) -> None:
@@ -62,6 +63,7 @@ def write_results(
         folder: where to; it is made if it does not exist, files of the same name are replaced.
         traces: the runs with their labels.
         extra: more keys of ``summary.json``.
+        more: what follows the tables in ``table.md``, in Markdown.
         figures: whether to draw the figures.
 
     Raises:
@@ -75,7 +77,7 @@ def write_results(
     with writing(folder):
         folder.mkdir(parents=True, exist_ok=True)
         (folder / "summary.json").write_text(to_json(summary, indent=1) + "\n", encoding="utf-8")
-        (folder / "table.md").write_text(report(results), encoding="utf-8")
+        (folder / "table.md").write_text(report(results, more), encoding="utf-8")
         for label, trace in traces:
             if trace.scenario:
                 name = "scenario" if len(traces) == 1 else f"scenario-{_slug(label)}"
@@ -103,11 +105,10 @@ def labelled(label: str, trace: Trace) -> dict[str, Any]:
     return {"label": label, **result(trace), "warnings": warnings}
 
 
-def report(results: Sequence[dict[str, Any]]) -> str:
-    """Return every table of some results, in Markdown."""
-    return "\n".join(
-        text for text in (comparison_table(results), settling_table(results), paper_table(results)) if text
-    )
+def report(results: Sequence[dict[str, Any]], more: str = "") -> str:
+    """Return every table of some results, in Markdown, and what else is to be said."""
+    tables = (comparison_table(results), settling_table(results), paper_table(results), more)
+    return "\n".join(text for text in tables if text)
 
 
 def save_trace(path: Path, trace: Trace) -> None:

@@ -62,15 +62,15 @@ def comparison_table(results: Sequence[Result]) -> str:
     lines = [
         "Mean |e| over the whole run, rad, and the share of it that is the transient, joint by joint:",
         "",
-        _markdown(errors),
+        markdown(errors),
         "",
         f"Mean |e| in each window, rad. {_windows(results)}".rstrip(),
         "",
-        _markdown(windows),
+        markdown(windows),
         "",
         "Peak |e| after the fault, and total variation of the torque (chattering):",
         "",
-        _markdown(efforts),
+        markdown(efforts),
     ]
     details = [f"- {run_name(r)}: {status(r)}; {_reason(r)}" for r in results if r["status"] != "completed"]
     if details:
@@ -90,7 +90,7 @@ def settling_table(results: Sequence[Result]) -> str:
     return (
         f"Time until |e| stays within {SETTLING_BAND:g} rad, joint by joint. The bound is for the motion on\n"
         "the sliding surface, from the initial error to zero; the time to reach it comes on top.\n\n"
-        f"{_markdown(rows)}\n"
+        f"{markdown(rows)}\n"
     )
 
 
@@ -125,7 +125,7 @@ def paper_table(results: Sequence[Result]) -> str:
     text = [
         "Table 2 of the paper (published values, Vo and Kang 2020) beside these runs: mean |e|, rad.",
         "",
-        _markdown(rows),
+        markdown(rows),
         "",
         f"{close} of {len(ratios)} entries are within 10 % of the published ones.",
     ]
@@ -241,7 +241,7 @@ def _cell(row: Sequence[float | None] | None, form: Any = _number) -> str:
     return " / ".join(ABSENT if x is None else form(x) for x in known)
 
 
-def _markdown(rows: Sequence[Sequence[str]]) -> str:
+def markdown(rows: Sequence[Sequence[str]]) -> str:
     """A Markdown table whose columns line up as plain text too; the first row is the heading."""
     count = len(rows[0])
     cells = [[*(c.replace("|", "\\|") for c in row), *[ABSENT] * (count - len(row))] for row in rows]

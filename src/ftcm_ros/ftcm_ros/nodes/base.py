@@ -64,7 +64,10 @@ class SuiteNode(LifecycleNode):
         self.scenario: Scenario = load(self.setting("scenario"))
         self.autostart: bool = self.setting("autostart")
         self._await_graph: bool = self.setting("await_graph")
-        for line in scheduling.apply(*(self.setting(n) for n in ("priority", "lock_memory", "processors"))):
+        self._not_permitted = scheduling.apply(
+            *(self.setting(n) for n in ("priority", "lock_memory", "processors"))
+        )
+        for line in self._not_permitted:
             self.get_logger().warning(line)
         self.codec = JointStateCodec(self.scenario.robot.joint_names)
         self.plane = DataPlane(self, self.setting("data_path"), self.gathers)
@@ -269,7 +272,7 @@ class SuiteNode(LifecycleNode):
             level, message = "error", f"{message}; {refused} messages refused, last: {self.refusal}"
         if rivals := self.plane.rivals():
             level, message = "error", f"{message}; {rivals}"
-        common = {
+        common: dict[str, Any] = {
             "ticks": self.ticks,
             "rate_hz": round(rate, 1),
             "refused": refused,
@@ -277,6 +280,8 @@ class SuiteNode(LifecycleNode):
             "cpu_seconds": round(time.process_time() - self._time_marks[0], 3),
             "waited_seconds": round(scheduling.waited_seconds() - self._time_marks[1], 3),
         }
+        if self._not_permitted:
+            common["not_permitted"] = "; ".join(self._not_permitted)
         status = DiagnosticStatus(
             level={"ok": DiagnosticStatus.OK, "warn": DiagnosticStatus.WARN, "error": DiagnosticStatus.ERROR}[
                 level

@@ -50,13 +50,13 @@ class RecorderNode(SuiteNode):
     def _handler(self, topic: Topic) -> Callable[[bytes, int], None]:
         def handle(data: bytes, published_ns: int) -> None:
             recording = self.recording
-            if recording is not None:
-                # Of the usual size it is taken as it is: the nodes look at what they use.
-                if topic not in EVENTS and len(data) not in self.codec.sizes and not self.decode(topic, data):
+            if recording is None:
+                return
+            if topic not in EVENTS:  # diagnostics never cease
+                if self.decode(topic, data) is None:
                     return
-                recording.write(topic, published_ns, data)
-                if topic not in EVENTS:  # diagnostics never cease
-                    self._last_message = time.monotonic()
+                self._last_message = time.monotonic()
+            recording.write(topic, published_ns, data)
 
         return handle
 
