@@ -270,10 +270,15 @@ def test_two_experiments_side_by_side(network: str, up: Up, where: str) -> None:
     domains = ("7", "8") if shared else ("7", "7")
     laws = ("ftcm", "smc")
     projects = [
-        up(SHORT.replace("ftcm", law), ROS_DOMAIN_ID=domain, **shared) for law, domain in zip(laws, domains)
+        up(f"paper --controllers {law} --set duration=15", ROS_DOMAIN_ID=domain, **shared)
+        for law, domain in zip(laws, domains)
     ]
+    for project in projects:
+        project.wait_for_ticks()
+    running = docker("inspect", "--format", "{{.State.Running}}", projects[0].container("experiment"))
+    assert running == "true", "the first ended before the second began: they were not side by side"
     for project, law in zip(projects, laws):
         assert project.wait() == 0, project.log()
         bag = project.bag(law)
-        equals_the_in_process_run(bag, 1001)
+        equals_the_in_process_run(bag, 15_001)
         assert {t["repeated"] for t in bag["topics"].values()} == {0}

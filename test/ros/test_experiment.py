@@ -295,6 +295,7 @@ def test_a_run_that_diverges_is_a_result(experiment: Experiment, tmp_path: Path)
     assert bag_of(tmp_path, "ctc").trace.status == "completed"
 
 
+@pytest.mark.slow
 @pytest.mark.skipif(
     "FTCM_TEST_SET_CLOCK" not in os.environ, reason="needs FTCM_TEST_SET_CLOCK=1: sets the time"
 )
@@ -307,11 +308,15 @@ def test_the_system_time_is_set_back_for_longer_than_a_node_may_be_silent(
         assert process.poll() is None, process.communicate()
         time.sleep(0.1)
     time.sleep(2)
-    time.clock_settime(time.CLOCK_REALTIME, time.time() - 100)
+    ahead = time.time() - time.monotonic()
+    try:
+        time.clock_settime(time.CLOCK_REALTIME, time.time() - 100)
+    except PermissionError as error:
+        pytest.skip(f"the time cannot be set: {error}")
     try:
         time.sleep(10)
     finally:
-        time.clock_settime(time.CLOCK_REALTIME, time.time() + 100)
+        time.clock_settime(time.CLOCK_REALTIME, time.monotonic() + ahead)
     _, err = process.communicate(timeout=120)
     assert process.returncode == 0, err
     bag = bag_of(tmp_path, "ftcm")
@@ -345,6 +350,8 @@ def test_nodes_that_somebody_else_starts(
     ("arguments", "text"),
     [
         (["papr"], "did you mean 'paper'?"),
+        (["paper", "--set", "name=../x"], "name '../x': expected a plain name without folders"),
+        (["paper", "--name", "../x"], "--name '../x': expected a plain name without folders"),
         (["paper", "--controllers", "scm"], "did you mean 'smc'?"),
         (["paper", "--controllers", "smc", "smc"], "each may be named once"),
         (["paper", "--set", "observer.k1=-1"], "observer.k1: -1 is out of range"),

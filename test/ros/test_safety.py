@@ -267,18 +267,53 @@ def test_the_plant_uses_the_right_messages_only_and_names_the_others(graph: Grap
 
 @pytest.mark.ros
 @pytest.mark.parametrize("number", [math.nan, math.inf])
+@pytest.mark.parametrize("what", ["command", "disturbance"])
 def test_a_torque_that_is_no_number_ends_the_run_before_the_robot(
-    graph: Graph, tmp_path: Path, number: float
+    graph: Graph, what: str, number: float
 ) -> None:
     states = graph.listen("/joint_states")
     graph.start("plant", mode="lockstep")
     torque, disturbance = graph.publisher("/joint_torques"), graph.publisher("/disturbance")
     graph.watcher.spin_until(lambda: states, "the first measurement")
-    torque.publish(stamped(0, effort=[1.0, number, 1.0]))
-    disturbance.publish(stamped(0, effort=[0.0] * 3))
+    efforts = {"command": [1.0] * 3, "disturbance": [1.0] * 3, what: [1.0, number, 1.0]}
+    torque.publish(stamped(0, effort=efforts["command"]))
+    disturbance.publish(stamped(0, effort=efforts["disturbance"]))
     health = graph.until("plant", "state", lambda v: v == "diverged")
-    assert health["detail"].startswith(f"at t = 0.001 s: torque is not finite: command [1.0, {number}, 1.0]")
+    assert health["detail"].startswith("at t = 0.001 s: torque is not finite: command [1.0, ")
+    assert f"{what} [1.0, {number}, 1.0]" in health["detail"]
     assert len(states) == 1
+
+
+@pytest.mark.ros
+def test_in_lockstep_the_plant_asks_again_for_what_is_missing(graph: Graph) -> None:
+    """Each answer is given once only, after the plant has asked twice."""
+    states = graph.listen("/joint_states")
+    graph.start("plant", mode="lockstep")
+    torque, disturbance = graph.publisher("/joint_torques"), graph.publisher("/disturbance")
+    graph.watcher.spin_until(lambda: len(states) >= 3, "the measurement, asked for twice again")
+    assert {m.header.stamp.nanosec for m in states} == {0}
+    asked = int(graph.until("plant", "asked_again", lambda v: v.isdecimal() and int(v) >= 2)["asked_again"])
+    assert asked >= len(states) - 1
+    torque.publish(stamped(0, effort=[0.0] * 3))
+    disturbance.publish(stamped(0, effort=[0.0] * 3))
+    graph.watcher.spin_until(lambda: states[-1].header.stamp.nanosec == 1_000_000, "the next tick")
+
+
+@pytest.mark.ros
+@pytest.mark.parametrize("number", [math.nan, -math.inf])
+def test_nobody_answers_a_measurement_that_is_no_number(graph: Graph, number: float) -> None:
+    estimates = graph.listen("/disturbance_estimate")
+    graph.start("observer")
+    state = graph.publisher("/joint_states")
+    graph.watcher.spin_until(
+        lambda: graph.node.count_publishers("/disturbance_estimate"), "the observer's publisher"
+    )
+    zeros = [0.0] * 3
+    state.publish(stamped(0, position=zeros, velocity=[0.0, number, 0.0], effort=zeros))
+    graph.until("observer", "refused_not_finite", lambda v: v == "1")
+    assert estimates == []
+    state.publish(stamped(0, position=zeros, velocity=zeros, effort=zeros))
+    graph.watcher.spin_until(lambda: estimates, "the answer to the one that is")
 
 
 @pytest.mark.ros
@@ -373,13 +408,17 @@ def test_misses_are_counted_exactly_and_by_their_cause(graph: Graph, tmp_path: P
     no_torque, no_disturbance, neither = {4, 5, 9}, {7, 12}, {15, 16}
     states = graph.listen("/joint_states")
     graph.start("plant", mode="real_time", scenario="s.yaml", autostart="false")
-    torque, disturbance = graph.publisher("/joint_torques"), graph.publisher("/disturbance")
     client = graph.node.create_client(ChangeState, "/plant/change_state")
     graph.watcher.spin_until(client.service_is_ready, "the plant's lifecycle")
-    for transition in (Transition.TRANSITION_CONFIGURE, Transition.TRANSITION_ACTIVATE):
+
+    def change(transition: int) -> None:
         answer = client.call_async(ChangeState.Request(transition=Transition(id=transition)))
-        graph.watcher.spin_until(answer.done, "its transition")
+        graph.watcher.spin_until(answer.done, "the plant's transition")
         assert answer.result().success
+
+    change(Transition.TRANSITION_CONFIGURE)
+    torque, disturbance = graph.publisher("/joint_torques"), graph.publisher("/disturbance")
+    change(Transition.TRANSITION_ACTIVATE)
     answered = 0
     while answered < 31:
         graph.watcher.spin_until(lambda n=answered: len(states) > n, f"the measurement of tick {answered}")

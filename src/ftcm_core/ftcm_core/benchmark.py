@@ -13,6 +13,7 @@ import argparse
 import importlib
 import importlib.util
 import os
+import resource
 import statistics
 import sys
 import time
@@ -130,6 +131,8 @@ def measure(*, quick: bool = False, jobs: int | None = None) -> dict[str, Any]:
         campaign.run_campaign(planned, engine="compiled", jobs=jobs)
         passed = time.perf_counter() - begin
         rows.append(_row(f"campaign of {runs} compiled runs, metrics included", [passed], "s"))
+        largest = resource.getrusage(resource.RUSAGE_CHILDREN).ru_maxrss / 1024
+        rows.append(_row("largest process of the campaign", [largest], "MB"))
         if quick:
             rows.append(_row("scaled to 1,000 runs, not measured", [passed * 1000 / runs], "s"))
     about = {**provenance(), "processor": _processor(), "cores": os.cpu_count()}

@@ -12,7 +12,7 @@ from pathlib import Path
 class Spool:
     """Stands in for the list in which rosbags' mcap writer keeps an index record per chunk until the end.
 
-    The recorder ends a chunk every half second, which in memory makes 1.7 MB an hour.
+    The recorder ends four chunks a second, whose records would make some MB an hour in memory.
     """
 
     def __init__(self, folder: Path) -> None:

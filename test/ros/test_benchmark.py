@@ -1,0 +1,44 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The benchmark of the graph measures every row and writes its page; what it measures is not judged here."""
+
+from __future__ import annotations
+
+import re
+import subprocess
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+
+pytest.importorskip("rclpy", reason="ROS 2 (rclpy) is not installed")
+pytest.importorskip("matplotlib", reason="the figures of analyse need it")
+
+pytestmark = pytest.mark.ros
+
+ROWS = (
+    "bare chain of four processes at 1 kHz",
+    "lockstep, full graph, ticks/s",
+    "ratio, pair by pair",
+    "latency from measurement to disturbance at the plant",
+    "start of the graph to its first tick",
+    "real time 1 s, ordinary scheduling: deadlines missed",
+    "real time 1 s, SCHED_FIFO",
+    "real time 1 s, one core kept busy: deadlines missed",
+    "reading a bag of 40 s, 5 topics",
+    "analyse --output of it",
+)
+
+
+@pytest.mark.slow
+def test_every_row_is_measured(start: Callable[..., subprocess.Popen[str]], tmp_path: Path) -> None:
+    process = start("benchmark", "--repetitions", "1", "--seconds", "1", "--output", "page.md")
+    out, err = process.communicate(timeout=280)
+    assert process.returncode == 0, err
+    page = (tmp_path / "page.md").read_text()
+    assert out.strip() in page
+    assert "Written by `make bench ARGS='--repetitions 1 --seconds 1'`" in page
+    table = [line.strip("|").split("|") for line in page.splitlines() if line.startswith("|")]
+    assert {len(row) for row in table} == {3}
+    for wanted in ROWS:
+        (value,) = [row[1] for row in table if wanted in row[0]]
+        assert re.search(r"\d", value), wanted
