@@ -324,7 +324,7 @@ def run_experiment(options: argparse.Namespace) -> int:
         )
     name = options.name or f"{scenarios[0].name}-{time.strftime('%Y%m%d-%H%M%S')}"
     if Path(name).name != name:
-        what = f"--name {name!r}" if options.name else f"the scenario's name {scenarios[0].name!r}"
+        what = f"--name {name!r}" if options.name else f"the scenario's name {name!r}"
         raise FtcmError(f"{what}: expected a plain name without folders; choose the place with --runs")
     folder: Path = options.runs / name
     try:
