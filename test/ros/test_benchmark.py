@@ -25,7 +25,8 @@ ROWS = (
     "real time 1 s, SCHED_FIFO",
     "real time 1 s, one core kept busy: deadlines missed",
     "reading a bag of 40 s, 5 topics",
-    "analyse --output of it",
+    "analyse: reading it, metrics and tables",
+    "analyse --output: the same",
 )
 
 
