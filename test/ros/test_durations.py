@@ -9,7 +9,7 @@ from typing import Any
 
 import pytest
 
-from ftcm_ros.durations import Durations, figures
+from ftcm_ros.durations import Durations, statistics
 
 
 def size(durations: Durations) -> int:
@@ -23,8 +23,8 @@ def test_the_whole_run_to_a_microsecond_the_last_second_exactly() -> None:
     for i in range(0, len(samples), 1000):
         for ns in samples[i : i + 1000]:
             durations.add(ns)
-        assert durations.recent("x") == figures("x", samples[i : i + 1000])
-    exact: dict[str, Any] = figures("x", samples)
+        assert durations.recent("x") == statistics("x", samples[i : i + 1000])
+    exact: dict[str, Any] = statistics("x", samples)
     found = durations.whole("x")
     assert found.keys() == exact.keys()
     assert found["x_max_us"] == exact["x_max_us"]

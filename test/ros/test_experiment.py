@@ -26,6 +26,7 @@ from ftcm_core.simulation import simulate
 from ftcm_core.trace import COLUMNS, Trace
 from ftcm_ros.bag import BagContents, read_bag
 from ftcm_ros.domain import Domain
+from ftcm_ros.experiment import PATIENCE_SECONDS
 from ftcm_ros.settings import NODES
 
 pytestmark = pytest.mark.ros
@@ -177,7 +178,7 @@ def test_real_time_without_a_miss_is_the_in_process_run(experiment: Experiment, 
             break
         shutil.rmtree(tmp_path / "runs")
     else:
-        pytest.skip("deadlines of 50 ms were missed in five runs")
+        pytest.fail("deadlines of 50 ms were missed in each of five runs")
     assert bag.missing == {}
     assert bag.trace.status == "completed"
     assert differing(bag.trace, simulate(load("paper", overrides))) == []
@@ -305,17 +306,14 @@ def test_the_system_time_is_set_back_for_longer_than_a_node_may_be_silent(
 ) -> None:
     arguments = ["--controllers", "ftcm", "--mode", "real_time", "--set", "duration=20", "--name", "test"]
     process = start("experiment", "paper", *arguments, "--no-figures")
-    while not (tmp_path / "runs" / "test" / "bags" / "ftcm").exists():
-        assert process.poll() is None, process.communicate()
-        time.sleep(0.1)
-    time.sleep(2)
+    run_until_ticks(process)
     ahead = time.time() - time.monotonic()
     try:
         time.clock_settime(time.CLOCK_REALTIME, time.time() - 100)
     except PermissionError as error:
         pytest.skip(f"the time cannot be set: {error}")
     try:
-        time.sleep(10)
+        time.sleep(2 * PATIENCE_SECONDS)
     finally:
         time.clock_settime(time.CLOCK_REALTIME, time.monotonic() + ahead)
     _, err = process.communicate(timeout=120)

@@ -35,9 +35,8 @@ from ftcm_ros.bag import read_bag
 from ftcm_ros.codec import JointStateCodec
 from ftcm_ros.dataplane import DataPlane
 from ftcm_ros.domain import Domain
-from ftcm_ros.latency import CAUSES
 from ftcm_ros.network import set_defaults
-from ftcm_ros.pacing import RealTime
+from ftcm_ros.pacing import CAUSES, RealTime
 from ftcm_ros.settings import NODES
 from ftcm_ros.topics import DISTURBANCE, ESTIMATE, JOINT_STATES, TORQUES
 

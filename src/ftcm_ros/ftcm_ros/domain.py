@@ -68,7 +68,7 @@ class Domain:
         remove_dead_shared_memory(self.number)
         end = time.monotonic() + SETTLED_SECONDS
         while has_new_ports(self.number) and time.monotonic() < end:
-            time.sleep(0.1)
+            time.sleep(0.1)  # only age tells them from the files of a process that is starting
             remove_dead_shared_memory(self.number)
 
     def release(self) -> None:

@@ -26,14 +26,14 @@ class Durations:
         self._recent.append(ns)
 
     def recent(self, name: str) -> dict[str, float]:
-        """Return the figures of those since the last call, exact, as :func:`figures` does."""
+        """Return the statistics of those since the last call, exact, as :func:`statistics` does."""
         recent, self._recent = self._recent, array("q")
         for ns in recent:
             self._counts[_bin(ns)] += 1
         self._count += len(recent)
         self._sum += sum(recent)
         self._largest = max(self._largest, *recent, 0)
-        return figures(name, recent)
+        return statistics(name, recent)
 
     def whole(self, name: str) -> dict[str, float]:
         """Return those of all: percentiles to 1 µs up to 10 ms and 1 ms beyond, the others exact."""
@@ -55,7 +55,7 @@ class Durations:
 SHARES = {"p50": 0.5, "p99": 0.99, "p999": 0.999}
 
 
-def figures(name: str, samples: Sequence[int]) -> dict[str, float]:
+def statistics(name: str, samples: Sequence[int]) -> dict[str, float]:
     """Return mean, p50, p99, p99.9 and the largest of samples in ns, as µs; nothing without samples."""
     if not samples:
         return {}

@@ -12,9 +12,9 @@ from ftcm_core.errors import FtcmError
 from ftcm_core.report.results import writing
 from ftcm_core.report.table import markdown
 from ftcm_ros.bag import BagContents
+from ftcm_ros.pacing import CAUSES
 from ftcm_ros.topics import DISTURBANCE, ESTIMATE, JOINT_STATES, TORQUES
 
-CAUSES = ("late_torque", "late_disturbance", "plant_overrun")
 PERCENTILES = {"p50": 50.0, "p99": 99.0, "p999": 99.9, "max": 100.0}
 
 
@@ -59,22 +59,23 @@ def percentiles(samples: dict[str, npt.NDArray[np.float64]]) -> dict[str, dict[s
 def timing_table(runs: list[tuple[str, BagContents]]) -> str:
     """Return what the plants of real-time runs have counted, in Markdown; nothing if there are none."""
     causes = [cause.replace("_", " ") for cause in CAUSES]
-    rows = [["controller", "ticks", *causes, "lateness, µs", "latency, µs", "processors"]]
+    rows = [["controller", "ticks", *causes, "jitter, µs", "latency, µs", "processors"]]
     for label, bag in runs:
         plant = bag.nodes.get("plant", {})
         if plant.get("mode") != "real_time":
             continue
-        figures = (
+        quantities = (
             " / ".join(plant.get(f"{quantity}_{p}_us", "–") for p in PERCENTILES)
             for quantity in ("jitter", "latency")
         )
         busy = sum(float(node.get("cpu_seconds", 0.0)) for node in bag.nodes.values())
         processors = f"{busy / float(plant['elapsed_seconds']):.2f}"
-        rows.append([label, plant["ticks"], *(plant[c] for c in CAUSES), *figures, processors])
+        rows.append([label, plant["ticks"], *(plant[c] for c in CAUSES), *quantities, processors])
     if len(rows) == 1:
         return ""
-    return f"""Real time: missed deadlines by cause; how late ticks began, and how long after the measurement
-torque and disturbance were at the plant (p50 / p99 / p99.9 / max); processors that all nodes kept busy:
+    return f"""Real time: missed deadlines by cause; jitter (how late ticks began) and latency (from the
+measurement to torque and disturbance at the plant), p50 / p99 / p99.9 / max; processors that all
+nodes kept busy:
 
 {markdown(rows)}
 """

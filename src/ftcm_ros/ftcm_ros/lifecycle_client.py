@@ -39,17 +39,13 @@ class Managed:
         self.done = True
         self.refused = False
 
-    def begin(self, transition: str, ask_first: bool = False) -> None:
-        """Begin a transition, one of :data:`TRANSITIONS`.
-
-        Args:
-            transition: which.
-            ask_first: the node may have made it by itself; asked for it again, it would not answer.
-        """
+    def begin(self, transition: str) -> None:
+        """Begin a transition, one of :data:`TRANSITIONS`."""
         self.transition = transition
         self.done = self.refused = False
         self._pending = self._asked = None
-        self._ask_first = ask_first
+        # The plant may have ended its run by itself; asked for that again, it would not answer.
+        self._ask_first = transition == "deactivate"
 
     def poll(self) -> None:
         """Look at what has come and ask on; sets ``done``, and ``refused`` if the node would not."""
@@ -96,7 +92,7 @@ def drive(nodes: list[Managed], transition: str, spin: Callable[[], None], timeo
         Empty, or the name of a node that did not make it.
     """
     for managed in nodes:
-        managed.begin(transition, ask_first=transition == "deactivate")
+        managed.begin(transition)
     end = time.monotonic() + timeout
     while not all(m.done for m in nodes):
         spin()

@@ -9,7 +9,7 @@ from __future__ import annotations
 import time
 from abc import ABC, abstractmethod
 from collections.abc import Callable
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, fields
 
 from ftcm_core.signals import NANOSECONDS
 
@@ -36,6 +36,10 @@ class Misses:
     def total(self) -> int:
         """All misses."""
         return self.late_torque + self.late_disturbance + self.plant_overrun
+
+
+CAUSES = tuple(f.name for f in fields(Misses))
+"""Names of the causes, as in the diagnostics."""
 
 
 @dataclass

@@ -28,7 +28,7 @@ from ftcm_core.scenario import Scenario, load
 from ftcm_ros import experiment
 from ftcm_ros.codec import stamp_of
 from ftcm_ros.domain import Domain
-from ftcm_ros.latency import CAUSES
+from ftcm_ros.pacing import CAUSES
 from ftcm_ros.recording import TopicCount
 from ftcm_ros.topics import data_topics
 

@@ -252,7 +252,7 @@ class SuiteNode(LifecycleNode):
     def health(self) -> tuple[str, str, dict[str, Any]]:
         """Return level (``ok``, ``warn``, ``error``), a message and values; services thread."""
 
-    def figures(self, name: str, durations: Durations) -> dict[str, float]:
+    def statistics(self, name: str, durations: Durations) -> dict[str, float]:
         """Mean and percentiles: while running, of the last second; then of the whole run."""
         return durations.recent(name) if self.active else durations.whole(name)
 
@@ -394,7 +394,7 @@ class ReactiveNode(SuiteNode):
 
     def health(self) -> tuple[str, str, dict[str, Any]]:
         """Execution times, gaps and age of inputs."""
-        times = self.figures("execution", self.times)
+        times = self.statistics("execution", self.times)
         level = execution_level(times)
         message = "active" if self.active else "inactive"
         if self.gaps:

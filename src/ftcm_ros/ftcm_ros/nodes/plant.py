@@ -5,6 +5,7 @@ from __future__ import annotations
 
 import sys
 import time
+from dataclasses import asdict
 from typing import Any
 
 from builtin_interfaces.msg import Time
@@ -263,18 +264,16 @@ class PlantNode(SuiteNode):
             "last_tick": self.scenario.last_tick,
             "elapsed_seconds": round(self.elapsed or time.monotonic() - self._began, 3),
             "missed_deadlines": misses.total,
-            "late_torque": misses.late_torque,
-            "late_disturbance": misses.late_disturbance,
-            "plant_overrun": misses.plant_overrun,
+            **asdict(misses),
             "asked_again": self.asked_again,
             "repeated": self.repeated,
             "safety": safety,
             "safe_stops": self.safe_stops,
             "safe_stop_ticks": self.safe_stop_ticks,
             **self._clocks.look(),
-            **self.figures("latency", self.latencies),
-            **self.figures("jitter", self.lateness),
-            **self.figures("execution", self.times),
+            **self.statistics("latency", self.latencies),
+            **self.statistics("jitter", self.lateness),
+            **self.statistics("execution", self.times),
         }  # fmt: skip
 
 
