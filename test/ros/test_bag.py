@@ -108,6 +108,13 @@ def test_metadata_tells_what_the_bag_is(trace: Trace, tmp_path: Path) -> None:
         assert connection.ext.offered_qos_profiles[0].depth == 4000
 
 
+def test_a_flush_does_not_wait_for_the_disk(trace: Trace, tmp_path: Path) -> None:
+    assert trace.scenario is not None
+    recording = Recording(tmp_path / "bag", "sqlite3", trace.scenario)
+    assert recording._writer.storage.conn.execute("PRAGMA synchronous").fetchone() == (0,)
+    recording.close()
+
+
 def test_an_existing_bag_is_never_written_over(trace: Trace, tmp_path: Path) -> None:
     write(tmp_path / "bag", trace)
     before = {p.name: p.read_bytes() for p in (tmp_path / "bag").iterdir()}

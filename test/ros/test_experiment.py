@@ -196,14 +196,27 @@ def test_the_controller_is_swapped_while_running(
         "--domain-id", str(domain), *arguments,
     )  # fmt: skip
     seen: list[int] = []
+    announced: list[tuple[str, str]] = []
 
     def on_diagnostics(message: DiagnosticArray) -> None:
         for status in message.status:
             if status.name == "plant: tick":
                 seen.append(int(next(v.value for v in status.values if v.key == "tick")))
 
+    def on_change(message: DiagnosticArray) -> None:
+        announced.extend((s.name, s.message) for s in message.status)
+
+    def in_force(kind: str, component: str) -> None:
+        """A change that another follows before the next tick is never in force: wait for each."""
+        watcher.spin_until(lambda: announced, f"{kind} {component} in force")
+        assert announced == [(kind, component)]
+        announced.clear()
+
     watcher.node.create_subscription(DiagnosticArray, "/diagnostics", on_diagnostics, 10)
-    watcher.spin_until(lambda: seen and seen[-1] > 0, "first tick")
+    watcher.node.create_subscription(DiagnosticArray, "component_changes", on_change, 10)
+    watcher.spin_until(lambda: seen and seen[-1] > 0 and len(announced) >= 2, "first tick")
+    assert sorted(announced) == [("controller", "ftcm"), ("observer", "do")]
+    announced.clear()
     assert watcher.set("controller", controller="scm") == [
         (False, "no controller 'scm'; did you mean 'smc'?")
     ]
@@ -212,8 +225,11 @@ def test_the_controller_is_swapped_while_running(
     assert "smc.c: -1 is out of range" in reason
     assert watcher.get("controller", "smc.c") == 2.0
     assert watcher.set("controller", controller="smc") == [(True, "")]
+    in_force("controller", "smc")
     assert watcher.set("controller", smc__c=3) == [(True, "")]
+    in_force("controller", "smc")
     assert watcher.set("observer", do__k1=15000.0) == [(True, "")]
+    in_force("observer", "do")
     out, err = process.communicate(timeout=120)
     assert process.returncode == 0, err
     bag = bag_of(tmp_path, "ftcm")

@@ -83,6 +83,11 @@ def new_bag(path: Path, storage: str) -> Writer:
     except (OSError, sqlite3.Error) as error:
         shutil.rmtree(path, ignore_errors=True)
         raise FtcmError(f"bag {str(path)!r} cannot be made: {reason_of(error)}") from None
+    if storage == "sqlite3":
+        # A commit then is in the file for whoever reads it, and does not wait for the disk: that can take
+        # longer than a recorder may be behind.
+        sqlite: Any = writer.storage
+        sqlite.conn.execute("PRAGMA synchronous=OFF")
     return writer
 
 
