@@ -25,9 +25,11 @@ from ftcm_core.scenario import load
 from ftcm_core.simulation import simulate
 from ftcm_core.trace import COLUMNS, Trace
 from ftcm_ros.bag import BagContents, read_bag
+from ftcm_ros.dataplane import qos
 from ftcm_ros.domain import Domain
 from ftcm_ros.experiment import PATIENCE_SECONDS
 from ftcm_ros.settings import NODES
+from ftcm_ros.topics import CHANGES
 
 pytestmark = pytest.mark.ros
 
@@ -213,7 +215,7 @@ def test_the_controller_is_swapped_while_running(
         announced.clear()
 
     watcher.node.create_subscription(DiagnosticArray, "/diagnostics", on_diagnostics, 10)
-    watcher.node.create_subscription(DiagnosticArray, "component_changes", on_change, 10)
+    watcher.node.create_subscription(DiagnosticArray, CHANGES.name, on_change, qos(CHANGES))
     watcher.spin_until(lambda: seen and seen[-1] > 0 and len(announced) >= 2, "first tick")
     assert sorted(announced) == [("controller", "ftcm"), ("observer", "do")]
     announced.clear()
