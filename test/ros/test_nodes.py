@@ -25,7 +25,9 @@ from ftcm_core.scenario import load
 from ftcm_core.signals import Measurement
 from ftcm_core.stages import ControllerStage
 from ftcm_ros.bag import read_bag
+from ftcm_ros.dataplane import qos
 from ftcm_ros.settings import NODES, SETTINGS
+from ftcm_ros.topics import ESTIMATE, JOINT_STATES, TORQUES
 
 pytestmark = pytest.mark.ros
 
@@ -171,6 +173,49 @@ def test_messages_that_do_not_fit_are_refused_and_named(start: Start, watcher: A
     assert list(answers[0].name) == ["joint1", "joint2", "joint3"]
     watcher.spin_until(lambda: health.get("refused") == "2", "the refusals in the diagnostics")
     assert "velocity is empty" in health["message"]
+
+
+def test_a_node_that_was_kept_waiting_answers_every_tick(start: Start, watcher: Any) -> None:
+    """Of a second of ticks at once, each is answered: as one who was kept from the processor finds them."""
+    node(start, "controller", controller="ftcm")
+    states = watcher.node.create_publisher(JointState, JOINT_STATES.name, qos(JOINT_STATES))
+    estimates = watcher.node.create_publisher(JointState, ESTIMATE.name, qos(ESTIMATE))
+    torques: dict[int, list[float]] = {}
+
+    def on_torque(message: JointState) -> None:
+        torques[message.header.stamp.nanosec] = list(message.effort)
+
+    watcher.node.create_subscription(JointState, TORQUES.name, on_torque, qos(TORQUES))
+    scenario = load("paper")
+    stage = ControllerStage(scenario.controller, scenario.reference, scenario.robot, scenario.dt)
+    zero = (0.0,) * 3
+    expected: dict[int, list[float]] = {}
+    state = JointState(name=list(scenario.robot.joint_names), velocity=zero, effort=zero)
+    estimate = JointState(name=state.name)
+
+    def measure(tick: int) -> None:
+        state.header.stamp.nanosec = tick * scenario.dt_ns
+        state.position = [0.001 * tick, 0.2, -0.1]
+        states.publish(state)
+
+    def observe(tick: int) -> None:
+        estimate.header.stamp.nanosec = tick * scenario.dt_ns
+        estimate.effort = [0.01 * tick, 1.0, -1.0]
+        estimates.publish(estimate)
+
+    def compute(tick: int) -> None:
+        measured = Measurement((0.001 * tick, 0.2, -0.1), zero, zero)
+        u, _ = stage.step(tick * scenario.dt_ns, measured, (0.01 * tick, 1.0, -1.0))
+        expected[tick * scenario.dt_ns] = list(u)
+
+    watcher.spin_until(lambda: (measure(0), observe(0)) and torques, "the torque of tick 0")
+    for step in (measure, observe):
+        for tick in range(1, 1000):
+            step(tick)
+    watcher.spin_until(lambda: len(torques) == 1000, "the torques of all ticks")
+    for tick in range(1000):
+        compute(tick)
+    assert torques == expected
 
 
 def test_a_late_estimate_that_nobody_waits_for_does_not_begin_a_new_run(start: Start, watcher: Any) -> None:

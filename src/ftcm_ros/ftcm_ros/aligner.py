@@ -13,7 +13,7 @@ class Aligner:
     not used any more.
     """
 
-    def __init__(self, required: tuple[str, ...], pending_limit: int = 64) -> None:
+    def __init__(self, required: tuple[str, ...], pending_limit: int) -> None:
         """Expect one value per required input and tick; keep at most so many unfinished ticks."""
         self.required = required
         self.pending_limit = pending_limit
@@ -53,7 +53,7 @@ class Aligner:
         for needed in self.required:
             if needed not in values:
                 if len(self._pending) > self.pending_limit:
-                    del self._pending[min(self._pending)]
+                    del self._pending[next(iter(self._pending))]
                     self.dropped += 1
                 return None
         if len(self._pending) > 1:

@@ -34,7 +34,7 @@ from ftcm_ros.durations import Durations
 from ftcm_ros.graph import join, joining
 from ftcm_ros.processes import end_with_parent
 from ftcm_ros.settings import setting
-from ftcm_ros.topics import DIAGNOSTICS, Topic
+from ftcm_ros.topics import DEPTH, DIAGNOSTICS, Topic
 
 POLL_NS = NANOSECONDS // 50
 """How often a waiting node looks at other things, ns."""
@@ -328,7 +328,7 @@ class ReactiveNode(SuiteNode):
         """
         self._inputs = {t.name: t for t in needs}
         self._first = next(iter(self._inputs))
-        self.aligner = Aligner(tuple(self._inputs))
+        self.aligner = Aligner(tuple(self._inputs), pending_limit=DEPTH)
         for topic, arrays in needs.items():
             self.plane.subscribe(topic, self._handler(topic, arrays))
 
