@@ -21,7 +21,7 @@ from ftcm_core.metrics import result
 from ftcm_core.observers.do import DO
 from ftcm_core.observers.none import NoObserver
 from ftcm_core.references.vo_kang_cosine import VoKangCosine
-from ftcm_core.registry import register
+from ftcm_core.registry import components, register
 from ftcm_core.robots import Robot
 from ftcm_core.robots.puma560 import Puma560
 from ftcm_core.scenario import Scenario, from_mapping, load
@@ -152,6 +152,24 @@ def test_controller_swap_keeps_the_state_of_the_same_law_only() -> None:
     assert stage.state == ((0.0,),) * 3
 
 
+@pytest.mark.parametrize("name", components("controller"))
+def test_what_is_prepared_changes_no_float(name: str) -> None:
+    """Prepared for this tick, for another tick or motion, or before a swap: the torque is the same."""
+    law, other = components("controller")[name](), FTCM(upsilon1=5.0)
+    one, prepared = (ControllerStage(law, VoKangCosine(), ROBOT, DT) for _ in range(2))
+    y, moved = Measurement(Q, V, ZERO), Measurement(V, Q, ZERO)
+    early: list[tuple[int, Measurement]] = [(0, y), (0, moved), (10**6, y), (10**6, moved)]
+    for k in range(40):
+        time_ns, tau_hat = k * 1_000_000, (0.1 * k, -0.2, 0.3)
+        time_ahead, motion = early[k % 4]
+        prepared.prepare(time_ns + time_ahead, motion)
+        if k in (20, 32):
+            for stage in (one, prepared):
+                stage.swap(other if k == 20 else law)
+        assert repr(prepared.step(time_ns, y, tau_hat)) == repr(one.step(time_ns, y, tau_hat))
+        assert repr(prepared.state) == repr(one.state)
+
+
 def test_observer_swap_keeps_the_state_of_the_same_kind_only() -> None:
     """Another kind starts at the next measurement, its estimate from zero."""
     stage, y = ObserverStage(DO(), ROBOT, DT), Measurement(Q, V, ZERO)
@@ -268,7 +286,7 @@ def test_law_out_of_its_domain(
         def init(self, joints: int) -> State:
             return ((0.0,),) * joints
 
-        def step(self, robot, dt, y, reference, disturbance_estimate, state):
+        def feedback(self, robot, dt, y, reference, state):
             following = tuple((n + 1.0,) for (n,) in state)
             return (robot.gravity(y.position) if state[0][0] < 7.0 else (outcome(),) * 3), following
 

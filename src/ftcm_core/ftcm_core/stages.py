@@ -200,6 +200,10 @@ class ObserverStage:
         return tau_hat
 
 
+_Prepared = tuple[int, Measurement, ReferencePoint, Vector, State]
+"""A tick's stamp (ns) and measurement; its reference, the torque without the estimate, and the next state."""
+
+
 class ControllerStage:
     """Reference and control law: one torque per measurement and estimate."""
 
@@ -210,6 +214,7 @@ class ControllerStage:
         self.robot = robot
         self.dt = dt
         self.state: State = controller.init(robot.joints)
+        self._prepared: _Prepared | None = None
 
     def swap(self, controller: Controller) -> None:
         """Use another law from the next tick on.
@@ -220,12 +225,24 @@ class ControllerStage:
         if type(controller) is not type(self.controller):
             self.state = controller.init(self.robot.joints)
         self.controller = controller
+        self._prepared = None
+
+    def prepare(self, time_ns: int, y: Measurement) -> None:
+        """Compute what of a tick does not need the estimate; :meth:`step` then only adds that."""
+        self._prepared = self._without_estimate(time_ns, y)
 
     def step(self, time_ns: int, y: Measurement, tau_hat: Vector) -> tuple[Vector, ReferencePoint]:
         """u_k (N·m) and the reference at t_k (integer ns)."""
+        prepared, self._prepared = self._prepared, None
+        if prepared is None or prepared[:2] != (time_ns, y):
+            prepared = self._without_estimate(time_ns, y)
+        _, _, reference, u, self.state = prepared
+        return self.controller.compensated(u, tau_hat), reference
+
+    def _without_estimate(self, time_ns: int, y: Measurement) -> _Prepared:
         reference = self.reference.at(seconds(time_ns), self.robot.joints)
-        u, self.state = self.controller.step(self.robot, self.dt, y, reference, tau_hat, self.state)
-        return u, reference
+        u, state = self.controller.feedback(self.robot, self.dt, y, reference, self.state)
+        return time_ns, y, reference, u, state
 
 
 class InjectorStage:

@@ -31,6 +31,11 @@ class Aligner:
         """Stamp of the last complete tick, ns."""
         self._pending: dict[int, dict[str, Any]] = {}
 
+    @property
+    def pending(self) -> int:
+        """How many unfinished ticks are here."""
+        return len(self._pending)
+
     def put(self, name: str, time_ns: int, value: Any) -> dict[str, Any] | None:
         """Add one input.
 

@@ -31,6 +31,24 @@ class Controller(Component):
         """Return the state at the start or after a swap: one tuple of floats per joint."""
 
     @abstractmethod
+    def feedback(
+        self, robot: Robot, dt: float, y: Measurement, reference: ReferencePoint, state: State
+    ) -> tuple[Vector, State]:
+        """Compute the torque of one tick but for the disturbance estimate.
+
+        It can be asked for while the observer still works.
+
+        Args:
+            robot: the model the law uses.
+            dt: tick length, s.
+            y: measurement at t_k.
+            reference: desired motion at t_k.
+            state: what the last step returned.
+
+        Returns:
+            Joint torque, N·m, and the next state.
+        """
+
     def step(
         self,
         robot: Robot,
@@ -40,19 +58,22 @@ class Controller(Component):
         disturbance_estimate: Vector,
         state: State,
     ) -> tuple[Vector, State]:
-        """Compute the torque of one tick.
+        """Compute the torque command u_k of one tick, N·m, and the next state.
 
         Args:
-            robot: the model the law uses.
-            dt: tick length, s.
-            y: measurement at t_k.
-            reference: desired motion at t_k.
-            disturbance_estimate: tau_hat at t_k, N·m, zeros without an observer.
-            state: what the last step returned.
-
-        Returns:
-            Joint torque command u_k, N·m, and the next state.
+            robot: as of :meth:`feedback`.
+            dt: as of :meth:`feedback`.
+            y: as of :meth:`feedback`.
+            reference: as of :meth:`feedback`.
+            disturbance_estimate: tau_hat at t_k, N·m, added where the law uses an observer.
+            state: as of :meth:`feedback`.
         """
+        u, following = self.feedback(robot, dt, y, reference, state)
+        return self.compensated(u, disturbance_estimate), following
+
+    def compensated(self, u: Vector, disturbance_estimate: Vector) -> Vector:
+        """Add the disturbance estimate to the feedback torque where the law uses an observer, N·m."""
+        return tuple(map(add, u, disturbance_estimate)) if self.needs_observer else u
 
     def sliding_variable(self, e: float, de: float, joint: int) -> float | None:
         """Sliding variable of one joint (0-based) for its errors (rad, rad/s); None if the law has none."""
@@ -94,26 +115,17 @@ class AccelerationLaw(Controller):
         """Every joint starts from ``initial``."""
         return (self.initial,) * joints
 
-    def step(
-        self,
-        robot: Robot,
-        dt: float,
-        y: Measurement,
-        reference: ReferencePoint,
-        disturbance_estimate: Vector,
-        state: State,
+    def feedback(
+        self, robot: Robot, dt: float, y: Measurement, reference: ReferencePoint, state: State
     ) -> tuple[Vector, State]:
-        """U = M(q) v + h + G with v = ẍ_r + law(e, ė); plus tau_hat where the law uses an observer."""
+        """U = M(q) v + h + G with v = ẍ_r + law(e, ė)."""
         law = self.law
         acceleration, following = [], []
         for p, q, v, qr, vr, ar, s in zip(joint_parameters(self, robot.joints), *y[:2], *reference, state):
             a, s_next = law(p, q - qr, v - vr, dt, s)
             acceleration.append(ar + a)
             following.append(s_next)
-        u = robot.inverse_dynamics(y.position, y.velocity, tuple(acceleration))
-        if self.needs_observer:
-            u = tuple(map(add, u, disturbance_estimate))
-        return u, tuple(following)
+        return robot.inverse_dynamics(y.position, y.velocity, tuple(acceleration)), tuple(following)
 
     def sliding_variable(self, e: float, de: float, joint: int) -> float | None:
         """Sliding variable of one joint for its errors."""

@@ -51,14 +51,8 @@ class PID(Controller):
         """Zero integral torque."""
         return ((0.0,),) * joints
 
-    def step(
-        self,
-        robot: Robot,
-        dt: float,
-        y: Measurement,
-        reference: ReferencePoint,
-        disturbance_estimate: Vector,
-        state: State,
+    def feedback(
+        self, robot: Robot, dt: float, y: Measurement, reference: ReferencePoint, state: State
     ) -> tuple[Vector, State]:
         """Gravity plus PID torque; the clamped integral advances by forward Euler."""
         u, following = [], []

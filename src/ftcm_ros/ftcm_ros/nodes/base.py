@@ -316,6 +316,8 @@ class ReactiveNode(SuiteNode):
         self.age_ns = 0
         """How long the oldest input of the last tick had waited, ns."""
         self._arrived = 0
+        self._ahead_ns = 0
+        """How long the tick under way was prepared."""
         self._incomplete = False
         """Whether the last input of a tick has come but not all others: wait for those too."""
         self._answer: list[tuple[Callable[[Any], None], bytes]] = []
@@ -367,6 +369,9 @@ class ReactiveNode(SuiteNode):
         values = aligner.put(name, time_ns, sample)
         if values is None:
             self._arrived = begin
+            if name == self._first and aligner.pending == 1:  # else others come before it
+                self.prepare(time_ns, sample)
+                self._ahead_ns = time.monotonic_ns() - begin
             self._incomplete = name == aligner.required[-1]
             return
         self._incomplete = False
@@ -378,7 +383,11 @@ class ReactiveNode(SuiteNode):
         self.ticks += 1
         end = time.monotonic_ns()
         self.age_ns = begin - self._arrived if len(aligner.required) > 1 else 0
-        self.times.add(end - begin)
+        self.times.add(end - begin + self._ahead_ns)
+        self._ahead_ns = 0
+
+    def prepare(self, time_ns: int, sample: JointSample) -> None:
+        """Do what can be done when only the first input of a tick is here."""
 
     @abstractmethod
     def answer(

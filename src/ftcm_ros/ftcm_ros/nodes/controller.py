@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import math
 import sys
 from collections.abc import Callable
@@ -51,6 +52,11 @@ class ControllerNode(SwappableNode):
         law = cast(Controller, component)
         self.stage.swap(law)
         self._require(law)
+
+    def prepare(self, time_ns: int, sample: JointSample) -> None:
+        """All of the torque but the estimate, while the observer works."""
+        with contextlib.suppress(ArithmeticError, ValueError):  # the answer meets it again, and says so
+            self.stage.prepare(time_ns, Measurement(*sample[1:]))
 
     def answer(
         self, time_ns: int, values: dict[str, JointSample]
