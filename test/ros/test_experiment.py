@@ -30,6 +30,7 @@ from ftcm_ros.domain import Domain
 from ftcm_ros.experiment import PATIENCE_SECONDS
 from ftcm_ros.settings import NODES
 from ftcm_ros.topics import CHANGES
+from node_processes import node_pids
 
 pytestmark = pytest.mark.ros
 
@@ -45,22 +46,6 @@ def differing(a: Trace, b: Trace) -> list[str]:
 
 def bag_of(folder: Path, controller: str) -> BagContents:
     return read_bag(folder / "runs" / "test" / "bags" / controller)
-
-
-def node_pids(parent: int) -> dict[str, int]:
-    """Process numbers of the nodes that an experiment has started."""
-    found = {}
-    for entry in Path("/proc").iterdir():
-        if entry.name.isdecimal():
-            try:
-                fields = (entry / "stat").read_text().rpartition(")")[2].split()
-                words = (entry / "cmdline").read_bytes().split(b"\0")
-            except OSError:
-                continue
-            module = next((w.decode() for w in words if w.startswith(b"ftcm_ros.nodes.")), "")
-            if module and int(fields[1]) == parent:
-                found[module.rpartition(".")[2]] = int(entry.name)
-    return found
 
 
 QUICK = {"ftcm", "smc"}

@@ -25,6 +25,7 @@ from ftcm_core.scenario import load
 from ftcm_core.simulation import simulate
 from ftcm_core.trace import COLUMNS
 from ftcm_ros.bag import BagContents, read_bag
+from node_processes import node_pids
 
 pytestmark = pytest.mark.ros
 
@@ -40,15 +41,6 @@ def equals_the_in_process_run(bag: BagContents) -> bool:
     assert bag.missing == {}
     assert trace.ticks == again.ticks
     return all(np.array_equal(getattr(trace, c), getattr(again, c)) for c in COLUMNS)
-
-
-def process_of(parent: int, node: str) -> int:
-    """Process number of a node of an experiment."""
-    for children in Path(f"/proc/{parent}/task").glob("*/children"):
-        for pid in children.read_text().split():
-            if f"ftcm_ros.nodes.{node}".encode() in Path(f"/proc/{pid}/cmdline").read_bytes():
-                return int(pid)
-    raise AssertionError(f"{node} is not running")
 
 
 @pytest.mark.parametrize(
@@ -74,13 +66,13 @@ def test_of_a_killed_recorder_only_the_last_second_is_lost(
     )  # fmt: skip
     assert process.stderr is not None
     next(line for line in process.stderr if "ticks/s" in line)
-    plant, recorder = process_of(process.pid, "plant"), process_of(process.pid, "recorder")
+    pids = node_pids(process.pid)
     watcher.spin_until(lambda: stamps, "a measurement")
-    os.kill(plant, signal.SIGSTOP)
+    os.kill(pids["plant"], signal.SIGSTOP)
     end = time.monotonic() + 1.0
     while time.monotonic() < end:
         watcher.executor.spin_once(timeout_sec=0.05)
-    os.kill(recorder, signal.SIGKILL)
+    os.kill(pids["recorder"], signal.SIGKILL)
     out, err = process.communicate(timeout=60)
     assert process.returncode == 1
     assert "Traceback" not in err
@@ -105,7 +97,7 @@ def test_a_recorder_killed_at_any_moment_leaves_a_bag_that_can_be_read(
     process = start("experiment", *SCENARIO, "--storage", storage, "--name", "test", "--no-figures")
     assert process.stderr is not None
     next(line for line in process.stderr if "ticks/s" in line)
-    os.kill(process_of(process.pid, "recorder"), signal.SIGKILL)
+    os.kill(node_pids(process.pid)["recorder"], signal.SIGKILL)
     process.communicate(timeout=60)
     bag = read_bag(tmp_path / "runs" / "test" / "bags" / "ftcm")
     assert bag.recovered

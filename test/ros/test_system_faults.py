@@ -6,7 +6,9 @@ from __future__ import annotations
 import json
 import os
 import random
+import signal
 import subprocess
+import time
 from collections.abc import Callable
 from pathlib import Path
 from typing import NamedTuple
@@ -19,6 +21,7 @@ pytest.importorskip("rclpy", reason="ROS 2 (rclpy) is not installed")
 from ftcm_core.scenario import load
 from ftcm_core.simulation import simulate
 from ftcm_ros.bag import read_bag
+from node_processes import node_pids
 
 pytestmark = pytest.mark.ros
 
@@ -185,3 +188,32 @@ def test_a_fault_ends_its_run_only(
         assert np.array_equal(bag.trace.position, again.position)
     assert alive_in(tmp_path) == []
     assert shared_memory() == []
+
+
+@pytest.mark.parametrize("mode", ["lockstep", pytest.param("real_time", marks=pytest.mark.slow)])
+def test_a_node_stopped_for_a_moment_misses_nothing(start: Start, tmp_path: Path, mode: str) -> None:
+    """Each node in turn, for longer than any scheduler keeps one waiting: what it finds then, it answers."""
+    duration = 30.0 if mode == "lockstep" else 12.0
+    process = start(
+        "experiment", "paper", "--controllers", "ftcm", "--mode", mode, "--name", "test", "--no-figures",
+        "--set", f"duration={duration}",
+    )  # fmt: skip
+    assert process.stderr is not None
+    next(line for line in process.stderr if "ticks/s" in line)
+    for node, pid in node_pids(process.pid).items():
+        os.kill(pid, signal.SIGSTOP)
+        time.sleep(0.7)
+        os.kill(pid, signal.SIGCONT)
+        time.sleep(0.3)
+        assert process.poll() is None, node
+    _, err = process.communicate(timeout=CEILING)
+    assert process.returncode == 0, err
+    bag = read_bag(tmp_path / "runs" / "test" / "bags" / "ftcm")
+    assert bag.trace.status == "completed"
+    assert bag.missing == {}
+    if mode == "lockstep":
+        expected = simulate(load("paper", [f"duration={duration}"]))
+        assert np.array_equal(bag.trace.position, expected.position)
+        assert np.array_equal(bag.trace.command, expected.command)
+    else:
+        assert int(bag.nodes["plant"]["missed_deadlines"]) > 3 * 600
