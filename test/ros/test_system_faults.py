@@ -41,6 +41,10 @@ from pathlib import Path
 
 words = sys.orig_argv
 node = next((w.rpartition(".")[2] for w in words if w.startswith("ftcm_ros.nodes.")), "")
+if node == "recorder":
+    from ftcm_ros import dataplane
+
+    dataplane.GATHER_SECONDS = 0.03
 if node and "--params-file" in words:
     run = Path(words[words.index("--params-file") + 1]).parent.name
     victim, fault, tick = json.loads(os.environ["FAULTS"]).get(run, ("", "", 0))
@@ -71,7 +75,10 @@ if node and "--params-file" in words:
 
         setattr(owner, name, step)
 """
-"""Loaded by every Python process of the experiment: in one node of each run, a fault at a tick."""
+"""Loaded by every Python process of the experiment: in one node of each run, a fault at a tick.
+
+The recorder is slow to take in, so that a node fails with messages under way.
+"""
 
 
 class Fault(NamedTuple):

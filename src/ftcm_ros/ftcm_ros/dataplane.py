@@ -27,6 +27,7 @@ from collections.abc import Callable, Iterable
 from typing import Any
 
 from rclpy.callback_groups import CallbackGroup, MutuallyExclusiveCallbackGroup
+from rclpy.duration import Duration
 from rclpy.executors import ExternalShutdownException, ShutdownException, SingleThreadedExecutor
 from rclpy.impl.implementation_singleton import rclpy_implementation as _rclpy
 from rclpy.node import Node
@@ -51,6 +52,9 @@ FRESH_NS = 500_000
 
 SWITCH_INTERVAL = 1e-4
 """How long a background thread may keep the interpreter from the tick, s."""
+
+ACKNOWLEDGE_SECONDS = 0.5
+"""How long a node that ends waits for readers that have not received all of its messages."""
 
 STOP_SECONDS = 8.0
 """How long the services thread may take to end; what it uses is destroyed then."""
@@ -311,8 +315,15 @@ class DataPlane:
             self._node.get_logger().warning(f"request not possible now: {error}")
 
     def stop(self) -> None:
-        """Stop serving; the data plane is not used after this."""
+        """Stop serving; the data plane is not used after this.
+
+        What a writer has sent is lost to a reader that has not received it when it hears that the writer
+        has gone; so it goes when all is received.
+        """
         self._ignore()
+        end = time.monotonic() + ACKNOWLEDGE_SECONDS
+        for _, made in self._publishers:
+            made.wait_for_all_acked(Duration(seconds=max(0.0, end - time.monotonic())))
         self._stopped.set()
         if self._timer is not None:
             self._timer.join()
