@@ -250,8 +250,9 @@ def test_version() -> None:
     assert ftcm("--version").stdout == f"ftcm {ftcm_core.__version__}\n"
 
 
-def test_interrupt_ends_quietly_with_its_workers() -> None:
-    """Ctrl-C in the middle of a comparison: status 130, no output, at once."""
+@pytest.mark.parametrize("seconds", [0.0, 0.02, 0.5])
+def test_interrupt_ends_quietly_with_its_workers(seconds: float) -> None:
+    """Ctrl-C while processes are being started, and in the middle of a comparison: status 130, no output."""
     process = subprocess.Popen(
         [*COMMAND, "compare", "paper", "paper", "--set", "duration=400"],
         stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, env=environment(),
@@ -260,7 +261,8 @@ def test_interrupt_ends_quietly_with_its_workers() -> None:
     )  # fmt: skip
     children = Path(f"/proc/{process.pid}/task/{process.pid}/children")
     while process.poll() is None and not children.read_text():
-        time.sleep(0.05)  # until it has workers; their runs take far longer than all this
+        time.sleep(0.0002)
+    time.sleep(seconds)  # the runs take far longer
     process.send_signal(signal.SIGINT)
     out, err = process.communicate(timeout=20)  # returns only when no worker holds the pipes any more
     assert (process.returncode, out, err) == (130, "", "")

@@ -31,11 +31,12 @@ def run_parallel(
         for index, item in enumerate(items):
             yield index, function(item)
         return
-    pool = ProcessPoolExecutor(
-        workers, mp_context=multiprocessing.get_context("spawn"), initializer=_end_with_parent
-    )
+    pool: ProcessPoolExecutor | None = None
     try:
-        with _children_ignore_interrupts():
+        with _children_ignore_interrupts():  # it starts a process of its own, which watches its semaphores
+            pool = ProcessPoolExecutor(
+                workers, mp_context=multiprocessing.get_context("spawn"), initializer=_end_with_parent
+            )
             futures: dict[Future[R], int] = {
                 pool.submit(function, item): index for index, item in enumerate(items)
             }
@@ -47,7 +48,9 @@ def run_parallel(
             child.terminate()
         raise
     finally:
-        pool.shutdown(wait=False, cancel_futures=True)
+        if pool is not None:
+            # Waiting, as Python's own end of a pool that is still ending now and then complains about that.
+            pool.shutdown(cancel_futures=True)
 
 
 def _end_with_parent() -> None:
