@@ -9,7 +9,8 @@ import os
 import signal
 import threading
 from collections.abc import Callable, Iterator, Sequence
-from concurrent.futures import Future, ProcessPoolExecutor, as_completed
+from concurrent.futures import Future, ProcessPoolExecutor
+from queue import SimpleQueue
 from typing import TypeVar
 
 T = TypeVar("T")
@@ -32,6 +33,9 @@ def run_parallel(
             yield index, function(item)
         return
     pool: ProcessPoolExecutor | None = None
+    # Unlike as_completed(), it holds no lock of an unfinished future that an interrupt would leave locked,
+    # for the pool to wait for without end.
+    done: SimpleQueue[Future[R]] = SimpleQueue()
     try:
         with _children_ignore_interrupts():  # it starts a process of its own, which watches its semaphores
             pool = ProcessPoolExecutor(
@@ -40,7 +44,10 @@ def run_parallel(
             futures: dict[Future[R], int] = {
                 pool.submit(function, item): index for index, item in enumerate(items)
             }
-        for future in as_completed(futures):
+            for future in futures:
+                future.add_done_callback(done.put)
+        for _ in items:
+            future = done.get()
             index = futures.pop(future)  # so that a finished result is not held twice
             yield index, future.result()
     except BaseException:
