@@ -94,19 +94,19 @@ lint: test-env ## Check style, format and types
 
 .PHONY: docs
 docs: build ## Write what is generated: the reference pages in docs/ and the SROS2 policy
-	@$(call source,.venv,); python -m ftcm_core.report.reference docs/ && python -m ftcm_ros.reference docs/ && \
-	    python -m ftcm_ros.security config/security/
+	@$(call source,.venv,); python -m ftcm_core.report.reference docs/ && python tools/topics_page.py docs/ && \
+	    python tools/sros_policy.py config/security/
 
 .PHONY: bench
 bench: test-env build ## Measure rates, latencies, real time and the core into docs/measured.md; minutes, on an idle machine
-	@$(call source,.venv,); python -m ftcm_ros.benchmark --core --output docs/measured.md $(ARGS)
+	@$(call source,.venv,); python tools/bench_graph.py --core --output docs/measured.md $(ARGS)
 
 .PHONY: soak
 soak: build ## Run an hour in real time: no tick lost, no process growing; ARGS='--minutes 5' for less
-	@$(call source,.venv,); python -m ftcm_ros.soak $(ARGS)
+	@$(call source,.venv,); python tools/soak.py $(ARGS)
 
 .PHONY: clean
 clean: ## Remove environments, build results and caches; runs/ stays
 	rm -rf .venv .venv-jazzy build install log .mypy_cache .ruff_cache .pytest_cache .hypothesis
-	find src test -name __pycache__ -prune -exec rm -rf {} +
+	find src test tools -name __pycache__ -prune -exec rm -rf {} +
 	rm -rf src/*/*.egg-info src/*/build

@@ -15,16 +15,22 @@ setup(
         ("share/ament_index/resource_index/packages", ["resource/ftcm_ros"]),
         ("share/ftcm_ros", ["package.xml"]),
     ],
-    package_data={"ftcm_ros": ["fastdds.xml"]},
+    package_data={"ftcm_ros.transport": ["fastdds.xml"]},
     zip_safe=False,
     python_requires=">=3.10",
     # rclpy and the message packages come with ROS, not from here.
-    install_requires=["ftcm_core==0.1.0", "rosbags>=0.11.9,<0.12"],
+    install_requires=[
+        "ftcm_core==0.1.0",
+        "mcap>=1.2,<2",
+        "psutil>=5.9.8",
+        "rosbags>=0.11.9,<0.12",
+        "tqdm>=4.66",
+    ],
     entry_points={
         "console_scripts": [
             *(f"{node} = ftcm_ros.nodes.{node}:main" for node in NODES),
-            "experiment = ftcm_ros.experiment:main",
-            "analyse = ftcm_ros.analyse:main",
+            "experiment = ftcm_ros.run.experiment:main",
+            "analyse = ftcm_ros.analysis.analyse:main",
         ]
     },
 )

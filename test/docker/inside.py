@@ -16,7 +16,7 @@ from rclpy.parameter import Parameter
 
 from ftcm_core.simulation import simulate
 from ftcm_core.trace import COLUMNS
-from ftcm_ros.bag import read_bag
+from ftcm_ros.bags.reader import read_bag
 
 
 def compare(path: str) -> dict[str, Any]:

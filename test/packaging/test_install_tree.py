@@ -108,7 +108,7 @@ def test_middleware_settings_are_installed(tmp_path):
     prefix_of("ftcm_ros")
     code = """
 import importlib.resources, json
-file = importlib.resources.files("ftcm_ros") / "fastdds.xml"
+file = importlib.resources.files("ftcm_ros.transport") / "fastdds.xml"
 print(json.dumps(file.read_text("utf-8").count("participant")))
 """
     assert run_installed(code, tmp_path) > 0

@@ -50,7 +50,9 @@ def test_core_works_without_its_extras(root):
 
 
 @pytest.mark.ros
-@pytest.mark.parametrize("module", ["aligner", "bag", "codec", "pacing"])
+@pytest.mark.parametrize(
+    "module", ["bags", "parameters.node_parameters", "timing", "transport.aligner", "transport.codec"]
+)
 def test_what_only_handles_messages_imports_without_rclpy(root, module):
     done = import_all(root, f"ftcm_ros.{module}", {"rclpy"}, messages=False)
     assert done.returncode == 0, done.stderr

@@ -5,7 +5,6 @@ from __future__ import annotations
 
 import os
 import subprocess
-import sys
 import time
 from collections.abc import Callable, Iterator
 from pathlib import Path
@@ -25,8 +24,9 @@ except ImportError:  # the test modules skip themselves, with the reason
     rclpy = None
 
 from ftcm_core.errors import FtcmError
-from ftcm_ros.domain import DOMAINS, Domain, ports_of
-from ftcm_ros.network import PROFILES
+from ftcm_ros.transport.domain import DOMAINS, Domain, ports_of
+from ftcm_ros.transport.network import PROFILES
+from programs import program
 
 HANG_SECONDS = 120.0
 """Generous ceiling that catches hangs."""
@@ -147,9 +147,9 @@ def start(tmp_path: Path) -> Iterator[Callable[..., subprocess.Popen[str]]]:
     """Start commands of the suite; what still runs at the end of the test is stopped."""
     started: list[subprocess.Popen[str]] = []
 
-    def run(module: str, *arguments: str) -> subprocess.Popen[str]:
+    def run(name: str, *arguments: str) -> subprocess.Popen[str]:
         process = subprocess.Popen(
-            [sys.executable, "-m", f"ftcm_ros.{module}", *arguments],
+            [*program(name), *arguments],
             cwd=tmp_path, env=os.environ.copy(), text=True, stdin=subprocess.DEVNULL,
             stdout=subprocess.PIPE, stderr=subprocess.PIPE,
         )  # fmt: skip

@@ -6,7 +6,7 @@ from __future__ import annotations
 from hypothesis import given
 from hypothesis import strategies as st
 
-from ftcm_ros.aligner import Aligner
+from ftcm_ros.transport.aligner import Aligner
 
 
 def test_a_tick_completes_when_its_last_required_input_comes() -> None:

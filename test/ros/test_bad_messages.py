@@ -33,11 +33,11 @@ from ftcm_core.params import ParamSpec, specs
 from ftcm_core.registry import components
 from ftcm_core.scenario import load
 from ftcm_core.simulation import simulate
-from ftcm_ros.bag import read_bag
-from ftcm_ros.codec import CodecError, JointStateCodec, stamp_of
-from ftcm_ros.parameters import ComponentParameters
-from ftcm_ros.recording import STORAGE, Recording
-from ftcm_ros.topics import DISTURBANCE, ESTIMATE, JOINT_STATES, REFERENCE, TORQUES
+from ftcm_ros.bags.reader import read_bag
+from ftcm_ros.bags.writer import STORAGE, Recording
+from ftcm_ros.parameters.component_parameters import ComponentParameters
+from ftcm_ros.transport.codec import CodecError, JointStateCodec, stamp_of
+from ftcm_ros.transport.topics import DISTURBANCE, ESTIMATE, JOINT_STATES, REFERENCE, TORQUES
 
 NAMES = ("joint1", "joint2", "joint3")
 CODEC = JointStateCodec(NAMES)

@@ -7,7 +7,6 @@ import contextlib
 import resource
 import shutil
 import subprocess
-import sys
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
@@ -27,10 +26,11 @@ from ftcm_core.metrics import result
 from ftcm_core.scenario import Scenario, load
 from ftcm_core.simulation import simulate
 from ftcm_core.trace import COLUMNS, Trace
-from ftcm_ros.bag import read_bag
-from ftcm_ros.codec import JointStateCodec
-from ftcm_ros.recording import STORAGE, Recording
-from ftcm_ros.topics import DISTURBANCE, ESTIMATE, JOINT_STATES, REFERENCE, TORQUES
+from ftcm_ros.bags.reader import read_bag
+from ftcm_ros.bags.writer import STORAGE, Recording
+from ftcm_ros.transport.codec import JointStateCodec
+from ftcm_ros.transport.topics import DISTURBANCE, ESTIMATE, JOINT_STATES, REFERENCE, TORQUES
+from programs import program
 
 TYPESTORE = get_typestore(Stores.ROS2_JAZZY)
 
@@ -186,7 +186,7 @@ def test_a_foreign_bag_is_analysed(trace: Trace, tmp_path: Path) -> None:
 
 def analyse(*arguments: object) -> subprocess.CompletedProcess[str]:
     return subprocess.run(
-        [sys.executable, "-m", "ftcm_ros.analyse", *map(str, arguments)],
+        [*program("analyse"), *map(str, arguments)],
         capture_output=True,
         text=True,
         check=False,
@@ -451,7 +451,7 @@ def test_a_name_that_cannot_be_a_bag_is_one_line(tmp_path: Path, name: str, stor
 def test_results_that_cannot_be_written_are_one_line(trace: Trace, tmp_path: Path) -> None:
     write(tmp_path / "bag", trace)
     run = subprocess.run(
-        ["prlimit", "--fsize=2000", sys.executable, "-m", "ftcm_ros.analyse", tmp_path / "bag", "--output",
+        ["prlimit", "--fsize=2000", *program("analyse"), tmp_path / "bag", "--output",
          tmp_path / "out"],
         capture_output=True, text=True, check=False,
     )  # fmt: skip

@@ -32,7 +32,7 @@ ROWS = (
 
 @pytest.mark.slow
 def test_every_row_is_measured(start: Callable[..., subprocess.Popen[str]], tmp_path: Path) -> None:
-    process = start("benchmark", "--repetitions", "1", "--seconds", "1", "--output", "page.md")
+    process = start("bench_graph.py", "--repetitions", "1", "--seconds", "1", "--output", "page.md")
     out, err = process.communicate(timeout=280)
     assert process.returncode == 0, err
     page = (tmp_path / "page.md").read_text()

@@ -15,7 +15,7 @@ pytest.importorskip("rclpy", reason="ROS 2 (rclpy) is not installed")
 from rclpy.serialization import deserialize_message, serialize_message
 from sensor_msgs.msg import JointState
 
-from ftcm_ros.codec import CodecError, JointStateCodec, stamp_of
+from ftcm_ros.transport.codec import CodecError, JointStateCodec, stamp_of
 
 NAMES = ("joint1", "joint2", "joint3")
 CODEC = JointStateCodec(NAMES)

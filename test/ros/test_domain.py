@@ -13,7 +13,7 @@ from pathlib import Path
 import pytest
 
 from ftcm_core.errors import FtcmError
-from ftcm_ros.domain import (
+from ftcm_ros.transport.domain import (
     DOMAINS,
     PORT_BASE,
     PORT_GAIN,

@@ -9,7 +9,7 @@ from typing import Any
 
 import pytest
 
-from ftcm_ros.durations import Durations, statistics
+from ftcm_ros.timing.durations import Durations, statistics
 
 
 def size(durations: Durations) -> int:

@@ -14,6 +14,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import psutil
 import pytest
 
 pytest.importorskip("rclpy", reason="ROS 2 (rclpy) is not installed")
@@ -24,12 +25,12 @@ from ftcm_core.registry import components
 from ftcm_core.scenario import load
 from ftcm_core.simulation import simulate
 from ftcm_core.trace import COLUMNS, Trace
-from ftcm_ros.bag import BagContents, read_bag
-from ftcm_ros.dataplane import qos
-from ftcm_ros.domain import Domain
-from ftcm_ros.experiment import PATIENCE_SECONDS
-from ftcm_ros.settings import NODES
-from ftcm_ros.topics import CHANGES
+from ftcm_ros.bags.reader import BagContents, read_bag
+from ftcm_ros.parameters.node_parameters import NODES
+from ftcm_ros.run.experiment import PATIENCE_SECONDS
+from ftcm_ros.transport.domain import Domain
+from ftcm_ros.transport.plane import qos
+from ftcm_ros.transport.topics import CHANGES
 from node_processes import node_pids
 
 pytestmark = pytest.mark.ros
@@ -252,7 +253,7 @@ def test_stopping_keeps_what_was_recorded(start: Start, tmp_path: Path, number: 
     bag = bag_of(tmp_path, "smc")
     assert bag.trace.status == "incomplete"
     assert bag.trace.ticks > 1000
-    assert not [p for p in pids.values() if Path(f"/proc/{p}").exists()]
+    assert not [p for p in pids.values() if psutil.pid_exists(p)]
     again = simulate(load("paper", controller="smc"))
     assert np.array_equal(bag.trace.position, again.position[: bag.trace.ticks])
     assert (tmp_path / "runs" / "test" / "summary.json").is_file()
@@ -272,7 +273,7 @@ def test_an_experiment_that_is_killed_leaves_a_bag_and_nothing_else(
     process.communicate(timeout=30)
     for pid in pids.values():
         for _ in range(300):
-            if not Path(f"/proc/{pid}").exists():
+            if not psutil.pid_exists(pid):
                 break
             signal.sigtimedwait([signal.SIGUSR2], 0.1)
         else:

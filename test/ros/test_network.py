@@ -20,9 +20,10 @@ import numpy as np
 from ftcm_core.scenario import load
 from ftcm_core.simulation import simulate
 from ftcm_core.trace import COLUMNS
-from ftcm_ros.bag import read_bag
-from ftcm_ros.network import PROFILES, SHOWN, set_defaults
-from ftcm_ros.processes import PARENT_VARIABLE
+from ftcm_ros.bags.reader import read_bag
+from ftcm_ros.nodes.parent import PARENT_VARIABLE
+from ftcm_ros.transport.network import PROFILES, SHOWN, set_defaults
+from programs import program
 
 pytestmark = pytest.mark.ros
 
@@ -45,9 +46,9 @@ print("seen" if seen else "not seen")
 """Tells whether there is a plant; an ordinary ROS process, as a stranger's or a tool's."""
 DRIVE = """
 import rclpy
-from ftcm_ros.graph import join_as
-from ftcm_ros.lifecycle_client import Managed, drive
-from ftcm_ros.settings import NODES
+from ftcm_ros.transport.joining import join_as
+from ftcm_ros.run.lifecycle import Managed, drive
+from ftcm_ros.parameters.node_parameters import NODES
 node = join_as("starter")
 nodes = {name: Managed(node, name) for name in NODES}
 plant = [nodes.pop("plant")]
@@ -93,10 +94,10 @@ class Machine:
             check=True, timeout=2 * WAIT_SECONDS,
         ).stdout  # fmt: skip
 
-    def start(self, folder: Path, module: str, *arguments: str, **variables: str) -> subprocess.Popen[str]:
+    def start(self, folder: Path, name: str, *arguments: str, **variables: str) -> subprocess.Popen[str]:
         """Start a program of the suite; its environment says no more about the network than is given."""
         process = subprocess.Popen(
-            [*self.enter, f"--wd={folder}", sys.executable, "-m", f"ftcm_ros.{module}", *arguments],
+            [*self.enter, f"--wd={folder}", *program(name), *arguments],
             env=environment(**variables), stdin=subprocess.DEVNULL, text=True,
             stdout=subprocess.PIPE, stderr=subprocess.STDOUT,
         )  # fmt: skip

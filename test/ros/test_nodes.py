@@ -5,7 +5,6 @@ from __future__ import annotations
 
 import signal
 import subprocess
-import sys
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -24,10 +23,11 @@ from ftcm_core.registry import components
 from ftcm_core.scenario import load
 from ftcm_core.signals import Measurement
 from ftcm_core.stages import ControllerStage
-from ftcm_ros.bag import read_bag
-from ftcm_ros.dataplane import qos
-from ftcm_ros.settings import NODES, SETTINGS
-from ftcm_ros.topics import ESTIMATE, JOINT_STATES, TORQUES
+from ftcm_ros.bags.reader import read_bag
+from ftcm_ros.parameters.node_parameters import NODES, SETTINGS
+from ftcm_ros.transport.plane import qos
+from ftcm_ros.transport.topics import ESTIMATE, JOINT_STATES, TORQUES
+from programs import program
 
 pytestmark = pytest.mark.ros
 
@@ -251,7 +251,7 @@ def test_a_late_estimate_that_nobody_waits_for_does_not_begin_a_new_run(start: S
 
 def test_the_reference_pages_are_up_to_date() -> None:
     run = subprocess.run(
-        [sys.executable, "-m", "ftcm_ros.reference", "--check", str(DOCS)],
+        [*program("topics_page.py"), "--check", str(DOCS)],
         capture_output=True,
         text=True,
         check=False,

@@ -7,7 +7,7 @@ from collections.abc import Callable
 
 import pytest
 
-from ftcm_ros.pacing import LEAD_NS, Lockstep, RealTime
+from ftcm_ros.timing.pacing import LEAD_NS, Lockstep, RealTime
 
 DT = 1_000_000
 

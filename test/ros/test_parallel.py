@@ -16,7 +16,7 @@ pytest.importorskip("rclpy", reason="ROS 2 (rclpy) is not installed")
 from ftcm_core.scenario import load
 from ftcm_core.simulation import simulate
 from ftcm_core.trace import COLUMNS
-from ftcm_ros.bag import read_bag
+from ftcm_ros.bags.reader import read_bag
 
 pytestmark = pytest.mark.ros
 

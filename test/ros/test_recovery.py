@@ -7,7 +7,6 @@ import json
 import os
 import signal
 import subprocess
-import sys
 import time
 from collections.abc import Callable, Iterator
 from pathlib import Path
@@ -24,8 +23,9 @@ from sensor_msgs.msg import JointState
 from ftcm_core.scenario import load
 from ftcm_core.simulation import simulate
 from ftcm_core.trace import COLUMNS
-from ftcm_ros.bag import BagContents, read_bag
+from ftcm_ros.bags.reader import BagContents, read_bag
 from node_processes import node_pids
+from programs import program
 
 pytestmark = pytest.mark.ros
 
@@ -156,7 +156,7 @@ def test_a_full_disk_ends_the_run_with_its_reason(
 def test_a_file_size_limit_ends_the_run_with_its_reason(tmp_path: Path, domain: int) -> None:
     """As a full disk, where nothing can be mounted; the other files of the run can be written."""
     run = subprocess.run(
-        ["prlimit", "--fsize=1500000", sys.executable, "-m", "ftcm_ros.experiment", *SCENARIO,
+        ["prlimit", "--fsize=1500000", *program("experiment"), *SCENARIO,
          "--name", "test", "--no-figures"],
         capture_output=True, text=True, timeout=60, check=False, cwd=tmp_path,
     )  # fmt: skip

@@ -21,12 +21,12 @@ from hypothesis import strategies as st
 from ftcm_core.scenario import load
 from ftcm_core.simulation import simulate
 from ftcm_core.trace import COLUMNS
-from ftcm_ros.bag import read_bag
-from ftcm_ros.clocks import ClockWatch
-from ftcm_ros.codec import JointStateCodec
-from ftcm_ros.recording import Recording
-from ftcm_ros.sources import SILENCE_NS, Source
-from ftcm_ros.topics import data_topics
+from ftcm_ros.bags.reader import read_bag
+from ftcm_ros.bags.writer import Recording
+from ftcm_ros.timing.clocks import ClockWatch
+from ftcm_ros.transport.codec import JointStateCodec
+from ftcm_ros.transport.publisher_identity import SILENCE_NS, PublisherIdentity
+from ftcm_ros.transport.topics import data_topics
 
 Start = Callable[..., "subprocess.Popen[str]"]
 SOURCES = Path(__file__).resolve().parents[2] / "src" / "ftcm_ros" / "ftcm_ros"
@@ -42,11 +42,11 @@ class Line:
     def __init__(self) -> None:
         self.now, self.publishers = 0, 1
         self.strangers = True
-        self.source = Source(lambda: self.publishers, lambda: self.strangers, lambda: self.now)
+        self.identity = PublisherIdentity(lambda: self.publishers, lambda: self.strangers, lambda: self.now)
 
     def send(self, number: int | None, after_ns: int = 1_000_000) -> bool:
         self.now += after_ns
-        return self.source.admits(number)
+        return self.identity.admits(number)
 
 
 @settings(deadline=None)
@@ -126,10 +126,10 @@ def test_no_module_but_the_watch_reads_the_system_time() -> None:
         if uses.search(line) and file.name != "clocks.py"
     }
     assert found == {
-        "base.py: array.header.stamp = self.get_clock().now().to_msg()",
-        'dataplane.py: fresh = 0 <= time.time_ns() - taken[1]["source_timestamp"] < FRESH_NS',  # ages only
+        "suite_node.py: array.header.stamp = self.get_clock().now().to_msg()",
+        'listener.py: fresh = 0 <= time.time_ns() - taken[1]["source_timestamp"] < FRESH_NS',  # ages only
         "domain.py: return time.time() - stat.st_mtime < SETTLED_SECONDS",  # as files do
-        "recording.py: time.time_ns(),",  # bags are in system time
+        "writer.py: time.time_ns(),",  # bags are in system time
     }
 
 

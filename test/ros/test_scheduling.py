@@ -12,11 +12,12 @@ from pathlib import Path
 import pytest
 
 from ftcm_core.errors import FtcmError
-from ftcm_ros import scheduling
+from ftcm_ros.timing import scheduling
+from programs import program
 
 THREADS = """
 import os, threading, time
-from ftcm_ros import scheduling
+from ftcm_ros.timing import scheduling
 lines = scheduling.apply(1, False, "")
 threading.Thread(target=time.sleep, args=(60,), daemon=True).start()
 policies = lambda: {os.sched_getscheduler(int(t)) for t in os.listdir("/proc/self/task")}
@@ -28,7 +29,7 @@ print(policies() == {os.SCHED_OTHER})
 
 WAITING = """
 import os, time
-from ftcm_ros import scheduling
+from ftcm_ros.timing import scheduling
 scheduling.apply(0, False, str(min(os.sched_getaffinity(0))))
 print(open("/proc/self/timerslack_ns").read().strip(), flush=True)
 other = os.fork()
@@ -70,7 +71,7 @@ def test_what_is_not_permitted_is_said_once_and_kept(tmp_path: Path) -> None:
         pytest.skip("setpriv (util-linux) is not installed")
     without = ["setpriv", "--bounding-set", "-sys_nice,-ipc_lock", "--inh-caps", "-sys_nice,-ipc_lock"]
     process = subprocess.run(
-        [*without, sys.executable, "-m", "ftcm_ros.experiment", "paper", "--controllers", "ftcm",
+        [*without, *program("experiment"), "paper", "--controllers", "ftcm",
          "--name", "test", "--set", "duration=0.1", "--no-figures", "--priority", "50", "--lock-memory"],
         cwd=tmp_path, capture_output=True, text=True, timeout=120, check=False,
     )  # fmt: skip

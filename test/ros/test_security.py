@@ -21,9 +21,10 @@ import numpy as np
 from ftcm_core.scenario import load
 from ftcm_core.simulation import simulate
 from ftcm_core.trace import COLUMNS
-from ftcm_ros.bag import read_bag
-from ftcm_ros.security import rules
-from ftcm_ros.settings import NODES
+from ftcm_ros.bags.reader import read_bag
+from ftcm_ros.parameters.node_parameters import NODES
+from programs import program
+from sros_policy import rules
 
 pytestmark = pytest.mark.ros
 
@@ -37,7 +38,7 @@ ONLY_WITH_AN_IDEAL_SENSOR = "/joint_states"
 
 
 def test_the_policy_is_up_to_date() -> None:
-    command = [sys.executable, "-m", "ftcm_ros.security", "--check", str(POLICY.parent)]
+    command = [*program("sros_policy.py"), "--check", str(POLICY.parent)]
     run = subprocess.run(command, capture_output=True, text=True, check=False)
     assert run.returncode == 0, run.stderr
 

@@ -15,9 +15,9 @@ import pytest
 pytest.importorskip("rclpy", reason="ROS 2 (rclpy) is not installed")
 
 from ftcm_core.errors import FtcmError
-from ftcm_ros.recording import TopicCount
-from ftcm_ros.settings import NODES
-from ftcm_ros.soak import GROWTH_LIMIT_KB, check, growth, main
+from ftcm_ros.bags.writer import TopicCount
+from ftcm_ros.parameters.node_parameters import NODES
+from soak import GROWTH_LIMIT_KB, check, growth, main
 
 pytestmark = pytest.mark.ros
 
@@ -36,7 +36,7 @@ def test_no_tick_is_lost_and_no_process_grows(
     start: Callable[..., subprocess.Popen[str]], tmp_path: Path
 ) -> None:
     process = start(
-        "soak", "--minutes", "1", "--warm-up", "40", "--every", "1", "--folder", "soak",
+        "soak.py", "--minutes", "1", "--warm-up", "40", "--every", "1", "--folder", "soak",
         "--output", "figures.md",
     )  # fmt: skip
     out, err = process.communicate(timeout=280)

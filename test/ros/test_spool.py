@@ -6,7 +6,7 @@ from __future__ import annotations
 from io import BytesIO
 from pathlib import Path
 
-from ftcm_ros.spool import Spool
+from ftcm_ros.bags.spool import Spool
 
 
 def test_records_come_back_positioned_at_their_end(tmp_path: Path) -> None:

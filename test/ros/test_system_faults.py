@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import json
 import os
 import random
@@ -14,13 +15,14 @@ from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
+import psutil
 import pytest
 
 pytest.importorskip("rclpy", reason="ROS 2 (rclpy) is not installed")
 
 from ftcm_core.scenario import load
 from ftcm_core.simulation import simulate
-from ftcm_ros.bag import read_bag
+from ftcm_ros.bags.reader import read_bag
 from node_processes import node_pids
 
 pytestmark = pytest.mark.ros
@@ -42,22 +44,22 @@ from pathlib import Path
 words = sys.orig_argv
 node = next((w.rpartition(".")[2] for w in words if w.startswith("ftcm_ros.nodes.")), "")
 if node == "recorder":
-    from ftcm_ros import dataplane
+    from ftcm_ros.transport import listener
 
-    dataplane.GATHER_SECONDS = 0.03
+    listener.GATHER_SECONDS = 0.03
 if node and "--params-file" in words:
     run = Path(words[words.index("--params-file") + 1]).parent.name
     victim, fault, tick = json.loads(os.environ["FAULTS"]).get(run, ("", "", 0))
     if victim == node:
         from ftcm_core import stages
-        from ftcm_ros import recording
+        from ftcm_ros.bags import writer
 
         owner, name = {
             "plant": (stages.PlantStage, "step"),
             "observer": (stages.ObserverStage, "step"),
             "controller": (stages.ControllerStage, "step"),
             "injector": (stages.InjectorStage, "step"),
-            "recorder": (recording.TopicCount, "add"),
+            "recorder": (writer.TopicCount, "add"),
         }[node]
         original, calls = getattr(owner, name), 0
 
@@ -104,14 +106,11 @@ def named(fault: Fault, tick: int, line: str) -> bool:
 def alive_in(folder: Path) -> list[str]:
     """Processes of nodes whose parameters are in a folder."""
     found = []
-    for entry in Path("/proc").iterdir():
-        if entry.name.isdecimal():
-            try:
-                words = (entry / "cmdline").read_bytes().decode(errors="replace")
-            except OSError:
-                continue
+    for process in psutil.process_iter():
+        with contextlib.suppress(psutil.Error):
+            words = " ".join(process.cmdline())
             if str(folder) in words and "ftcm_ros.nodes" in words:
-                found.append(words.replace("\0", " "))
+                found.append(words)
     return found
 
 

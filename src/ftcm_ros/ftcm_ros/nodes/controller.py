@@ -14,13 +14,13 @@ from ftcm_core.limits import command_beyond
 from ftcm_core.registry import Component
 from ftcm_core.signals import Measurement
 from ftcm_core.stages import ControllerStage
-from ftcm_ros.codec import JointSample
-from ftcm_ros.nodes.base import run
-from ftcm_ros.nodes.swappable import SwappableNode
-from ftcm_ros.topics import ESTIMATE, JOINT_STATES, REFERENCE, TORQUES
+from ftcm_ros.nodes.component_node import ComponentNode
+from ftcm_ros.nodes.main import run
+from ftcm_ros.transport.codec import JointSample
+from ftcm_ros.transport.topics import ESTIMATE, JOINT_STATES, REFERENCE, TORQUES
 
 
-class ControllerNode(SwappableNode):
+class ControllerNode(ComponentNode):
     """Runs the control law; a law that uses no observer does not wait for the estimate."""
 
     def __init__(self) -> None:

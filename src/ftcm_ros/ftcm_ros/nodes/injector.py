@@ -8,9 +8,10 @@ import sys
 from collections.abc import Callable
 from typing import Any
 
-from ftcm_ros.codec import JointSample
-from ftcm_ros.nodes.base import ReactiveNode, run
-from ftcm_ros.topics import DISTURBANCE, JOINT_STATES, TORQUES, TRUE_STATE
+from ftcm_ros.nodes.main import run
+from ftcm_ros.nodes.reactive_node import ReactiveNode
+from ftcm_ros.transport.codec import JointSample
+from ftcm_ros.transport.topics import DISTURBANCE, JOINT_STATES, TORQUES, TRUE_STATE
 
 
 class InjectorNode(ReactiveNode):

@@ -12,13 +12,13 @@ from ftcm_core.observers import Observer
 from ftcm_core.registry import Component
 from ftcm_core.signals import Measurement
 from ftcm_core.stages import ObserverStage
-from ftcm_ros.codec import JointSample
-from ftcm_ros.nodes.base import run
-from ftcm_ros.nodes.swappable import SwappableNode
-from ftcm_ros.topics import ESTIMATE, JOINT_STATES
+from ftcm_ros.nodes.component_node import ComponentNode
+from ftcm_ros.nodes.main import run
+from ftcm_ros.transport.codec import JointSample
+from ftcm_ros.transport.topics import ESTIMATE, JOINT_STATES
 
 
-class ObserverNode(SwappableNode):
+class ObserverNode(ComponentNode):
     """Runs the disturbance observer."""
 
     def __init__(self) -> None:

@@ -15,11 +15,21 @@ from std_msgs.msg import String
 from ftcm_core.errors import FtcmError
 from ftcm_core.signals import NANOSECONDS, TrueDisturbance, seconds
 from ftcm_core.trace import ENDED_EARLY
-from ftcm_ros.clocks import ClockWatch
-from ftcm_ros.durations import Durations
-from ftcm_ros.nodes.base import POLL_NS, SuiteNode, run
-from ftcm_ros.pacing import PACERS, Misses, RealTime
-from ftcm_ros.topics import CLOCK, DISTURBANCE, JOINT_STATES, RECORDED, SCENARIO, TORQUES, TRUE_STATE, Topic
+from ftcm_ros.nodes.main import run
+from ftcm_ros.nodes.suite_node import POLL_NS, SuiteNode
+from ftcm_ros.timing.clocks import ClockWatch
+from ftcm_ros.timing.durations import Durations
+from ftcm_ros.timing.pacing import PACERS, Misses, RealTime
+from ftcm_ros.transport.topics import (
+    CLOCK,
+    DISTURBANCE,
+    JOINT_STATES,
+    RECORDED,
+    SCENARIO,
+    TORQUES,
+    TRUE_STATE,
+    Topic,
+)
 
 CLOCK_PERIOD_NS = NANOSECONDS // 100
 ASK_AGAIN_NS = NANOSECONDS

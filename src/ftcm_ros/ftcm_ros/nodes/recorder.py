@@ -13,9 +13,10 @@ from builtin_interfaces.msg import Time
 
 from ftcm_core.errors import FtcmError
 from ftcm_core.signals import NANOSECONDS
-from ftcm_ros.nodes.base import SuiteNode, run
-from ftcm_ros.recording import Recording
-from ftcm_ros.topics import DISTURBANCE, EVENTS, RECORDED, Topic, data_topics
+from ftcm_ros.bags.writer import Recording
+from ftcm_ros.nodes.main import run
+from ftcm_ros.nodes.suite_node import SuiteNode
+from ftcm_ros.transport.topics import DISTURBANCE, EVENTS, RECORDED, Topic, data_topics
 
 ACKNOWLEDGE_TICKS = 100
 """How often the recorder says how far it is."""

@@ -1,0 +1,122 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Timing of a recorded run: tick jitter and the latency of each hop, from the times of publication."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import numpy.typing as npt
+
+from ftcm_core.errors import FtcmError
+from ftcm_core.report.results import writing
+from ftcm_core.report.table import markdown
+from ftcm_ros.bags.reader import BagContents
+from ftcm_ros.timing.pacing import CAUSES
+from ftcm_ros.transport.topics import DISTURBANCE, ESTIMATE, JOINT_STATES, TORQUES
+
+PERCENTILES = {"p50": 50.0, "p99": 99.0, "p999": 99.9, "max": 100.0}
+
+
+def hop_times(bag: BagContents) -> dict[str, npt.NDArray[np.float64]]:
+    """Return samples in µs: ``jitter`` of the tick and the latency of each hop and of the chain.
+
+    ``jitter``: interval between two measurements less dt (not in lockstep, which has no clock).
+    ``observer``, ``controller``, ``injector``: from the message that the node waits for to its own.
+    ``chain``: from measurement to disturbance. A topic that is not recorded gives no samples.
+    """
+    stamps, published = bag.stamps, bag.published
+    found: dict[str, npt.NDArray[np.float64]] = {}
+    first = stamps.get(JOINT_STATES.name)
+    if first is not None and len(first) > 1 and bag.nodes.get("plant", {}).get("mode") != "lockstep":
+        found["jitter"] = (np.diff(published[JOINT_STATES.name]) - np.diff(first)) / 1000.0
+    scenario = bag.trace.scenario
+    awaited = ESTIMATE if scenario is None or scenario.controller.needs_observer else JOINT_STATES
+    hops = {
+        "observer": (JOINT_STATES, ESTIMATE),
+        "controller": (awaited, TORQUES),
+        "injector": (TORQUES, DISTURBANCE),
+        "chain": (JOINT_STATES, DISTURBANCE),
+    }
+    for name, (before, after) in hops.items():
+        if before.name in stamps and after.name in stamps:
+            _, i, j = np.intersect1d(stamps[before.name], stamps[after.name], return_indices=True)
+            found[name] = (published[after.name][j] - published[before.name][i]) / 1000.0
+    return {name: values for name, values in found.items() if len(values)}
+
+
+def percentiles(samples: dict[str, npt.NDArray[np.float64]]) -> dict[str, dict[str, float]]:
+    """Return p50, p99, p99.9 and the largest of each, µs; of jitter, its absolute value."""
+    return {
+        name: {
+            label: round(float(np.percentile(np.abs(v) if name == "jitter" else v, share)), 1)
+            for label, share in PERCENTILES.items()
+        }
+        for name, v in samples.items()
+    }
+
+
+def timing_table(runs: list[tuple[str, BagContents]]) -> str:
+    """Return what the plants of real-time runs have counted, in Markdown; nothing if there are none."""
+    causes = [cause.replace("_", " ") for cause in CAUSES]
+    rows = [["controller", "ticks", *causes, "jitter, µs", "latency, µs", "processors"]]
+    for label, bag in runs:
+        plant = bag.nodes.get("plant", {})
+        if plant.get("mode") != "real_time":
+            continue
+        quantities = (
+            " / ".join(plant.get(f"{quantity}_{p}_us", "–") for p in PERCENTILES)
+            for quantity in ("jitter", "latency")
+        )
+        busy = sum(float(node.get("cpu_seconds", 0.0)) for node in bag.nodes.values())
+        processors = f"{busy / float(plant['elapsed_seconds']):.2f}"
+        rows.append([label, plant["ticks"], *(plant[c] for c in CAUSES), *quantities, processors])
+    if len(rows) == 1:
+        return ""
+    return f"""Real time: missed deadlines by cause; jitter (how late ticks began) and latency (from the
+measurement to torque and disturbance at the plant), p50 / p99 / p99.9 / max; processors that all
+nodes kept busy:
+
+{markdown(rows)}
+"""
+
+
+def write_figure(runs: list[tuple[str, dict[str, npt.NDArray[np.float64]]]], file: Path) -> None:
+    """Draw how often latency and jitter exceed a value, one line per run, one panel per quantity.
+
+    Raises:
+        FtcmError: matplotlib is not installed, or the file cannot be written.
+    """
+    try:
+        from matplotlib.backends.backend_agg import FigureCanvasAgg
+        from matplotlib.figure import Figure
+    except ImportError:
+        raise FtcmError('figures need matplotlib: pip install "ftcm_core[figures]"') from None
+    names = [
+        n
+        for n in ("jitter", "observer", "controller", "injector", "chain")
+        if any(n in samples for _, samples in runs)
+    ]
+    figure = Figure(figsize=(2.4 * len(names) + 1.0, 3.6), layout="constrained")
+    FigureCanvasAgg(figure)
+    titles = {"jitter": "tick jitter, absolute", "chain": "whole chain"}
+    for axes, name in zip(np.atleast_1d(figure.subplots(1, len(names), sharey=True)), names):
+        for (label, samples), style in zip(runs, ("-", "--", ":", "-.") * len(runs)):
+            if name in samples:
+                values = np.sort(np.abs(samples[name]))
+                exceeding = 1.0 - np.arange(len(values)) / len(values)
+                keep = np.unique(np.geomspace(1, len(values), 400).astype(int)) - 1
+                keep = np.unique(np.concatenate([keep, len(values) - 1 - keep]))
+                axes.plot(np.maximum(values[keep], 1.0), exceeding[keep], style, label=label)
+        axes.set_xscale("log")
+        axes.set_yscale("log")
+        axes.set_title(titles.get(name, f"hop: {name}"), fontsize=10)
+        axes.set_xlabel("µs")
+        axes.tick_params(which="minor", labelbottom=False)
+        axes.grid(alpha=0.3)
+    first = figure.axes[0]
+    first.set_ylabel("share of ticks above")
+    first.legend(fontsize=8)
+    with writing(file.parent):
+        file.parent.mkdir(parents=True, exist_ok=True)
+        figure.savefig(file, dpi=130)

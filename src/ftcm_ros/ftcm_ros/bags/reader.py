@@ -1,0 +1,325 @@
+# SPDX-License-Identifier: Apache-2.0
+"""A bag to a :class:`~ftcm_core.trace.Trace`: any rosbag2 bag with the suite's topics."""
+
+from __future__ import annotations
+
+import dataclasses
+import json
+from collections.abc import Iterable, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+import yaml
+from rosbags.rosbag2 import Reader
+from rosbags.typesys import Stores, get_typestore
+
+from ftcm_core.errors import FtcmError, shown
+from ftcm_core.registry import find
+from ftcm_core.scenario import Scenario, from_mapping, parse_yaml
+from ftcm_core.signals import NANOSECONDS
+from ftcm_core.trace import COLUMNS, ENDED_EARLY, Change, Trace
+from ftcm_ros.bags.recovery import Message, scan
+from ftcm_ros.transport.codec import CodecError, JointStateCodec, read_joint_state
+from ftcm_ros.transport.topics import (
+    CHANGES,
+    DATA,
+    DIAGNOSTICS,
+    DISTURBANCE,
+    ESTIMATE,
+    EVENTS,
+    JOINT_STATES,
+    REFERENCE,
+    SCENARIO,
+    TORQUES,
+    TRUE_STATE,
+    data_topics,
+)
+
+_SOURCES = {
+    "position": (JOINT_STATES.name, 0),
+    "velocity": (JOINT_STATES.name, 1),
+    "effort": (JOINT_STATES.name, 2),
+    "disturbance_estimate": (ESTIMATE.name, 2),
+    "command": (TORQUES.name, 2),
+    "disturbance": (DISTURBANCE.name, 2),
+    "reference_position": (REFERENCE.name, 0),
+    "reference_velocity": (REFERENCE.name, 1),
+}
+"""Column: its topic, and which array of the message."""
+
+_WANTED = tuple(t.name.lstrip("/") for t in (*DATA, TRUE_STATE, *EVENTS))
+
+Decoded = tuple[npt.NDArray[np.int64], list["npt.NDArray[np.float64] | None"]]
+
+
+@dataclasses.dataclass(frozen=True)
+class BagContents:
+    """A bag as analysed: the trace, and what the bag says about itself."""
+
+    path: Path
+    trace: Trace
+    missing: dict[str, int]
+    """Ticks of the run that a data topic lacks, per topic."""
+    nodes: dict[str, dict[str, str]]
+    """Last diagnostics of each node."""
+    metadata: dict[str, str]
+    """The recorder's custom data."""
+    published: dict[str, npt.NDArray[np.int64]]
+    """Time at which each message was published (system clock), ns, per data topic."""
+    stamps: dict[str, npt.NDArray[np.int64]]
+    """Stamp of each message, ns, per data topic."""
+    unusable: dict[str, int]
+    """Messages left out, as they are no tick of this robot's run, per topic; empty if there are none."""
+    runs: int = 1
+    """Runs in the bag; the trace is the last one."""
+    recovered: str = ""
+    """Of a bag that was not closed: what could be read, in one line."""
+
+
+def read_bag(path: Path, scenario: Scenario | None = None) -> BagContents:
+    """Read a bag; of one that was not closed or lost its end, what can be read.
+
+    Args:
+        path: folder of the bag.
+        scenario: the scenario of the run, for a bag that does not say.
+
+    Raises:
+        FtcmError: there is no bag, it cannot be read, or it has not the topics; in one line.
+    """
+    raw, published, damage = _read_messages(path)
+    metadata = {} if damage else _custom_data(path)
+    others = {name: raw.pop(name, []) for name in (CHANGES.name, SCENARIO.name, DIAGNOSTICS.name.lstrip("/"))}
+    if not raw.get(JOINT_STATES.name):
+        if damage:
+            raise FtcmError(
+                f"bag {str(path)!r} cannot be read: {damage.rstrip('.')}; nothing could be recovered"
+            )
+        raise FtcmError(
+            f"bag {str(path)!r} has no messages on /{JOINT_STATES.name}; expected this suite's topics"
+        )
+    typestore = get_typestore(Stores.ROS2_JAZZY)
+    text = metadata.get("scenario") or next(
+        (typestore.deserialize_cdr(m, SCENARIO.type).data for m in others[SCENARIO.name]), None
+    )
+    if scenario is None and text:
+        scenario = from_mapping(parse_yaml(text, str(path))[0], origin=f"{path}: recorded scenario")
+    names = scenario.robot.joint_names if scenario else _joint_names(path, raw[JOINT_STATES.name][0])
+    codec = JointStateCodec(names)
+    decoded: dict[str, Decoded] = {}
+    unusable = {}
+    for name, messages in raw.items():
+        decoded[name], keep = _decode(codec, messages, scenario)
+        published[name] = published[name][keep]
+        if not keep.all():
+            unusable[name] = int(np.count_nonzero(~keep))
+    if not len(decoded[JOINT_STATES.name][0]):
+        raise FtcmError(
+            f"bag {str(path)!r}: no message on /{JOINT_STATES.name} is a tick of this run, "
+            f"of joints {shown(names)}"
+        )
+    runs = _keep_last_run(decoded, published)
+    recovered = metadata.get("recovered", "")
+    if damage:
+        recovered = _cut_ragged_end(decoded, published, scenario)
+    stamps = np.unique(np.concatenate([times for times, _ in decoded.values()]))
+    dt_ns = scenario.dt_ns if scenario else int(np.median(np.diff(stamps))) if len(stamps) > 1 else 1_000_000
+    columns: dict[str, Any] = {c: _column(decoded, stamps, len(names), *_SOURCES[c]) for c in COLUMNS}
+    if TRUE_STATE.name in decoded:
+        for i, column in enumerate(("position", "velocity")):
+            columns[f"measured_{column}"] = columns[column]
+            columns[column] = _column(decoded, stamps, len(names), TRUE_STATE.name, i)
+    missing = {}
+    for topic in data_topics(scenario):
+        have = len(np.unique(decoded[topic.name][0])) if topic.name in decoded else 0
+        expected = round((int(stamps[-1]) - int(stamps[0])) / dt_ns) + 1
+        if have < expected:
+            missing[topic.name] = expected - have
+    nodes = _last_diagnostics(typestore, others[DIAGNOSTICS.name.lstrip("/")])
+    changes = _changes(typestore, others[CHANGES.name], dt_ns)
+    if scenario is not None:
+        scenario, changes = _initial_components(scenario, changes, int(stamps[0]) // dt_ns)
+    status, detail = _status(scenario, nodes.get("plant", {}), int(stamps[-1]), dt_ns)
+    stamps_of = {name: times for name, (times, _) in decoded.items()}
+    trace = Trace(
+        joint_names=names, dt=dt_ns / 1e9, time_ns=stamps, **columns,
+        scenario=scenario, status=status, detail=detail, changes=tuple(changes),
+    )  # fmt: skip
+    return BagContents(path, trace, missing, nodes, metadata, published, stamps_of, unusable, runs, recovered)
+
+
+def _read_messages(path: Path) -> tuple[dict[str, list[bytes]], dict[str, npt.NDArray[np.int64]], str]:
+    """Return messages and times per topic, and what was wrong with a bag that had to be scanned."""
+    if not path.exists():
+        raise FtcmError(f"no bag {str(path)!r}; expected the folder of a rosbag2 bag")
+    damage = ""
+    try:
+        with Reader(path) as reader:
+            wanted = [c for c in reader.connections if _name(c) in _WANTED]
+            raw, times = _by_topic(reader.messages(wanted) if wanted else ())
+    except Exception as error:  # rosbags has many error types, none of them a programming mistake here
+        damage = " ".join(str(error).split()) or type(error).__name__
+        try:
+            raw, times = _by_topic(scan(path))
+        except OSError as again:
+            raise FtcmError(f"bag {str(path)!r} cannot be read: {again.strerror or again}") from None
+    return raw, {k: np.array(v, dtype=np.int64) for k, v in times.items()}, damage
+
+
+def _name(connection: Any) -> str:
+    """A namespace in front of the topics does not matter."""
+    return str(connection.topic.rpartition("/")[2])
+
+
+def _by_topic(messages: Iterable[Message]) -> tuple[dict[str, list[bytes]], dict[str, list[int]]]:
+    raw: dict[str, list[bytes]] = {name: [] for name in _WANTED}
+    times: dict[str, list[int]] = {name: [] for name in _WANTED}
+    sinks: dict[str, tuple[list[bytes], list[int]] | None] = {}
+    for connection, when, data in messages:
+        topic = connection.topic
+        if topic not in sinks:
+            name = _name(connection)
+            sinks[topic] = (raw[name], times[name]) if name in _WANTED else None
+        sink = sinks[topic]
+        if sink is not None:
+            sink[0].append(bytes(data))
+            sink[1].append(when)
+    return {k: v for k, v in raw.items() if v}, {k: v for k, v in times.items() if v}
+
+
+def _cut_ragged_end(
+    decoded: dict[str, Decoded], published: dict[str, npt.NDArray[np.int64]], scenario: Scenario | None
+) -> str:
+    """End where the first of the topics ends that were published to the last; return what there was.
+
+    A topic that had ended more than a second before was not cut off by the recorder's end.
+    """
+    last = {name: published[name].max() for name, (times, _) in decoded.items() if len(times)}
+    cut = [name for name, when in last.items() if when > max(last.values()) - NANOSECONDS]
+    end = min(int(decoded[name][0].max()) for name in cut)
+    ticks = ", ".join(f"{name} {len(np.unique(times))}" for name, (times, _) in decoded.items())
+    for name, (stamps, arrays) in decoded.items():
+        keep = stamps <= end
+        decoded[name] = stamps[keep], [None if a is None else a[keep] for a in arrays]
+        published[name] = published[name][keep]
+    if scenario is None:
+        return f"complete to t = {end / 1e9:g} s (ticks: {ticks})"
+    later = "" if end >= scenario.last_tick * scenario.dt_ns else "; later ones are not in the file"
+    return f"complete to t = {end / 1e9:g} s of {scenario.duration:g} s (ticks: {ticks}){later}"
+
+
+def _custom_data(path: Path) -> dict[str, str]:
+    """What the recorder wrote about the run; empty in a bag of another recorder."""
+    file = path / "metadata.yaml"
+    if not file.is_file():
+        return {}
+    information = yaml.safe_load(file.read_text(encoding="utf-8"))["rosbag2_bagfile_information"]
+    return dict(information.get("custom_data") or {})
+
+
+def _joint_names(path: Path, message: bytes) -> tuple[str, ...]:
+    try:
+        return tuple(read_joint_state(message)[1])
+    except CodecError as error:
+        raise FtcmError(f"bag {str(path)!r}: /{JOINT_STATES.name}: {error}") from None
+
+
+def _decode(
+    codec: JointStateCodec, messages: Sequence[bytes], scenario: Scenario | None
+) -> tuple[Decoded, npt.NDArray[np.bool_]]:
+    """Return what a topic's messages say, and which of them are ticks of the run: the others are left out."""
+    keep = np.ones(len(messages), dtype=np.bool_)
+    for layout in (codec.state, codec.torque, codec.motion):
+        found = layout.decode_all(messages)
+        if found is not None:
+            times, arrays = found
+            break
+    else:
+        samples = []
+        for i, message in enumerate(messages):
+            try:
+                samples.append(codec.decode(message))
+            except CodecError:
+                keep[i] = False
+        joints = len(codec.joint_names)
+        nothing = (np.nan,) * joints
+        times = np.array([s.time_ns for s in samples], dtype=np.int64)
+        arrays = [
+            np.array([s[i] or nothing for s in samples], dtype=np.float64).reshape(-1, joints)
+            for i in (1, 2, 3)
+        ]
+    if scenario is not None:
+        of_run = (times % scenario.dt_ns == 0) & (times >= 0) & (times <= scenario.last_tick * scenario.dt_ns)
+        keep[keep] = of_run
+        times, arrays = times[of_run], [None if a is None else a[of_run] for a in arrays]
+    return (times, arrays), keep
+
+
+def _keep_last_run(decoded: dict[str, Decoded], published: dict[str, npt.NDArray[np.int64]]) -> int:
+    """Keep the last of several runs in one bag: stamps begin anew with each. Return how many there were."""
+    times = decoded[JOINT_STATES.name][0]
+    starts = np.flatnonzero(np.diff(times) < 0) + 1
+    if len(starts):
+        begin = published[JOINT_STATES.name][starts[-1]]
+        for name, (stamps, arrays) in decoded.items():
+            keep = published[name] >= begin
+            decoded[name] = stamps[keep], [None if a is None else a[keep] for a in arrays]
+            published[name] = published[name][keep]
+    return len(starts) + 1
+
+
+def _column(
+    decoded: dict[str, Decoded], stamps: npt.NDArray[np.int64], joints: int, topic: str, index: int
+) -> npt.NDArray[np.float64]:
+    out = np.full((len(stamps), joints), np.nan)
+    if topic in decoded:
+        times, arrays = decoded[topic]
+        values = arrays[index]
+        if values is not None:
+            once, first = np.unique(times, return_index=True)  # as in the nodes, the first of a tick counts
+            out[np.searchsorted(stamps, once)] = values[first]
+    return out
+
+
+def _last_diagnostics(typestore: Any, messages: Sequence[bytes]) -> dict[str, dict[str, str]]:
+    nodes: dict[str, dict[str, str]] = {}
+    for data in messages:
+        for status in typestore.deserialize_cdr(data, DIAGNOSTICS.type).status:
+            name, _, what = status.name.partition(":")
+            if what.strip() == "tick":
+                nodes[name] = {"message": status.message, **{v.key: v.value for v in status.values}}
+    return nodes
+
+
+def _changes(typestore: Any, messages: Sequence[bytes], dt_ns: int) -> list[Change]:
+    found: list[Change] = []
+    for data in messages:
+        array = typestore.deserialize_cdr(data, CHANGES.type)
+        tick = (array.header.stamp.sec * 1_000_000_000 + array.header.stamp.nanosec) // dt_ns
+        for status in array.status:
+            values = {v.key: v.value for v in status.values}
+            mapping = json.loads(values["component"])
+            component = find(status.name, mapping.pop("type"))(**mapping)
+            # An earlier tick than the last one: a new run has begun, and only the last run counts.
+            found = [c for c in found if c.kind != status.name or c.tick <= tick]
+            found.append(Change(tick, status.name, component))
+    return sorted(found, key=lambda c: c.tick)
+
+
+def _initial_components(
+    scenario: Scenario, changes: list[Change], first: int
+) -> tuple[Scenario, list[Change]]:
+    """The components in force at the first tick belong to the scenario; later ones are changes."""
+    initial = {c.kind: c.component for c in changes if c.tick <= first}
+    return dataclasses.replace(scenario, **initial), [c for c in changes if c.tick > first]
+
+
+def _status(scenario: Scenario | None, plant: dict[str, str], last_ns: int, dt_ns: int) -> tuple[str, str]:
+    if plant.get("state") in ENDED_EARLY:
+        return plant["state"], plant.get("detail", "")
+    if scenario is not None and last_ns // dt_ns >= scenario.last_tick:
+        return "completed", ""
+    return "incomplete", f"ends at t = {last_ns / 1e9:g} s" + (
+        f" of {scenario.duration:g} s" if scenario else ""
+    )

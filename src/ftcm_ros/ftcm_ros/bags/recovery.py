@@ -1,0 +1,210 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What can be read of a bag that was not closed: its recorder was killed, or its disk was full."""
+
+from __future__ import annotations
+
+import shutil
+import sqlite3
+from collections.abc import Iterator
+from contextlib import closing
+from io import BufferedReader, BytesIO
+from pathlib import Path
+from tempfile import TemporaryDirectory
+from typing import Any, NamedTuple
+
+from mcap.exceptions import EndOfFile
+from mcap.records import Channel, Chunk, DataEnd, McapRecord, Schema
+from mcap.records import Message as McapMessage
+from mcap.stream_reader import StreamReader, get_chunk_data_stream
+from rosbags.typesys import Stores, get_types_from_msg, get_typestore
+
+from ftcm_core.errors import FtcmError
+from ftcm_ros.bags.rosbags_internals import Sqlite3Reader, parse_qos
+from ftcm_ros.bags.writer import new_bag, reason_of
+
+
+class Origin(NamedTuple):
+    """The topic of a message, as the bag describes it."""
+
+    topic: str
+    msgtype: str
+    definition: str
+    """Text of the message definition."""
+    qos: list[Any]
+    """Qualities of service that its publishers offered."""
+
+
+Message = tuple[Origin, int, bytes]
+"""Topic, time (ns) and serialized message."""
+
+_STORAGE = {".mcap": "mcap", ".db3": "sqlite3"}
+_MCAP_MAGIC = b"\x89MCAP0\r\n"
+
+
+def scan(path: Path) -> Iterator[Message]:
+    """Yield every whole message of a bag's files, from the first on; neither index nor metadata are needed.
+
+    The bag's folder is not modified.
+
+    Args:
+        path: folder of the bag, or one of its files.
+
+    Raises:
+        OSError: a file cannot be opened.
+    """
+    for file in _files(path):
+        yield from (_scan_mcap if file.suffix == ".mcap" else _scan_sqlite)(file)
+
+
+def repair(path: Path, target: Path, note: str) -> int:
+    """Write what can be read of a bag to a new one, closed, and return the number of messages.
+
+    Args:
+        path: the bag that was not closed.
+        target: the bag to make.
+        note: what was recovered; it stands in the new bag's metadata.
+
+    Raises:
+        FtcmError: the target exists or cannot be written.
+    """
+    typestore = get_typestore(Stores.ROS2_JAZZY)
+    connections: dict[str, Any] = {}
+    count = 0
+    writer = new_bag(target, _STORAGE[_files(path)[0].suffix])
+    try:
+        for found, when, data in scan(path):
+            if found.topic not in connections:
+                if found.msgtype not in typestore.types:
+                    typestore.register(get_types_from_msg(found.definition, found.msgtype))
+                connections[found.topic] = writer.add_connection(
+                    found.topic,
+                    found.msgtype,
+                    typestore=typestore,
+                    offered_qos_profiles=found.qos,
+                )
+            writer.write(connections[found.topic], when, data)
+            count += 1
+        writer.set_custom_data("recovered", note)
+        writer.close()
+    except (OSError, sqlite3.Error) as error:
+        raise FtcmError(f"bag {str(target)!r} cannot be written: {reason_of(error)}") from None
+    return count
+
+
+def _files(path: Path) -> list[Path]:
+    if path.is_file():
+        return [path]
+    found = [f for f in path.iterdir() if f.suffix in _STORAGE and f.is_file()]
+    return sorted(found, key=lambda f: (len(f.name), f.name))  # a bag in parts: _9 before _10
+
+
+def _scan_mcap(file: Path) -> Iterator[Message]:
+    """Yield the messages before the first record that is not whole; a chunk counts whole or not at all."""
+    schemas: dict[int, Schema] = {}
+    origins: dict[int, Origin] = {}
+    size = file.stat().st_size
+    with file.open("rb") as stream:
+        if stream.read(len(_MCAP_MAGIC)) != _MCAP_MAGIC:
+            return
+        try:
+            for record in _records(stream, size):
+                if isinstance(record, DataEnd):
+                    return
+                messages = []
+                for part in _parts(record):
+                    if isinstance(part, Schema):
+                        schemas[part.id] = part
+                    elif isinstance(part, Channel):
+                        origins[part.id] = _origin(part, schemas)
+                    elif isinstance(part, McapMessage) and part.channel_id in origins:
+                        messages.append((origins[part.channel_id], part.log_time, part.data))
+                yield from messages
+        except Exception:  # mcap has many errors for a record that is cut off or holds something else
+            return
+
+
+def _records(stream: BufferedReader | BytesIO, size: int) -> Iterator[McapRecord]:
+    """Yield the records from where a stream stands to its end.
+
+    Raises:
+        Exception: a record is not whole; mcap has many errors for that.
+    """
+    records = StreamReader(stream, skip_magic=True, emit_chunks=True, record_size_limit=size).records
+    while stream.tell() < size:
+        here = stream.tell()
+        if stream.read(1) == b"\0":  # no record at all: a part of the file that was never written
+            raise EndOfFile
+        stream.seek(here)
+        yield next(records)
+
+
+def _parts(record: McapRecord) -> list[McapRecord]:
+    """Return the records in a chunk, or the record itself.
+
+    Raises:
+        Exception: the chunk is not whole.
+    """
+    if not isinstance(record, Chunk):
+        return [record]
+    stream, size = get_chunk_data_stream(record, validate_crc=True)
+    if size != record.uncompressed_size:
+        raise EndOfFile
+    return list(_records(BytesIO(stream.read(size)), size))
+
+
+def _origin(channel: Channel, schemas: dict[int, Schema]) -> Origin:
+    schema = schemas[channel.schema_id]
+    qos = parse_qos(channel.metadata.get("offered_qos_profiles", ""))
+    return Origin(channel.topic, schema.name, schema.data.decode(), qos)
+
+
+def _scan_sqlite(file: Path) -> Iterator[Message]:
+    """In a copy, as a transaction that was under way has to be rolled back."""
+    with TemporaryDirectory() as folder:
+        try:
+            reader = Sqlite3Reader(_consistent_copy(file, Path(folder)))
+            reader.open()
+        except OSError:
+            raise
+        except Exception:  # sqlite3, apsw and rosbags each have their own for a file that is not whole
+            return
+        try:
+            origins = {
+                c.id: Origin(c.topic, c.msgtype, c.msgdef.data, c.ext.offered_qos_profiles)
+                for c in reader.connections
+            }
+            messages = reader.messages(reader.connections)
+            while (message := _next(messages)) is not None:
+                connection, when, data = message
+                yield origins[connection.id], when, data
+        finally:
+            reader.close()
+
+
+def _next(messages: Iterator[Any]) -> Any:
+    """Return the next message; None at the end, or where the file is not whole."""
+    try:
+        return next(messages, None)
+    except Exception:
+        return None
+
+
+def _consistent_copy(file: Path, folder: Path) -> Path:
+    copy = folder / "bag.db3"
+    beside = [file.with_name(file.name + suffix) for suffix in ("", "-journal", "-wal")]
+    if not beside[2].exists():
+        try:
+            with (
+                closing(sqlite3.connect(f"{file.resolve().as_uri()}?mode=ro", uri=True)) as source,
+                closing(sqlite3.connect(copy)) as target,
+            ):
+                source.backup(target)  # also while a recorder is writing
+            return copy
+        except sqlite3.OperationalError:  # a journal to roll back, which a reader may not
+            copy.unlink(missing_ok=True)
+    for part in beside:
+        if part.exists():
+            shutil.copyfile(part, folder / part.name.replace(file.name, copy.name, 1))
+    with closing(sqlite3.connect(copy)) as database:
+        database.execute("SELECT count(*) FROM messages")  # rolls back
+    return copy

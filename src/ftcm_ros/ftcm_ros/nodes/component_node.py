@@ -1,0 +1,95 @@
+# SPDX-License-Identifier: Apache-2.0
+"""A reactive node whose component can be changed while it runs: controller and observer."""
+
+from __future__ import annotations
+
+import json
+from abc import abstractmethod
+from typing import Any
+
+from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
+
+from ftcm_core.registry import Component
+from ftcm_core.signals import NANOSECONDS, Vector
+from ftcm_ros.nodes.reactive_node import ReactiveNode
+from ftcm_ros.parameters.component_parameters import ComponentParameters
+from ftcm_ros.transport.topics import CHANGES
+
+
+class ComponentNode(ReactiveNode):
+    """Applies a changed component between two ticks and announces it with its first tick."""
+
+    def __init__(self, kind: str) -> None:
+        """Declare the parameters of every component of the kind."""
+        super().__init__(kind)
+        self.kind = kind
+        self._announce = self.plane.publisher(CHANGES)
+        self._pending: Component | None = None
+        self._announced: Component | None = None
+        self._output: Vector = ()
+        self.parameters = ComponentParameters(
+            self, kind, getattr(self.scenario, kind), self.scenario.robot.joints, self._on_change
+        )
+
+    def _on_change(self, component: Component) -> None:
+        self._pending = component
+        for line in getattr(component, "warnings", list)():
+            self.get_logger().warning(line)
+
+    @abstractmethod
+    def use(self, component: Component) -> None:
+        """Use this component from the next tick on."""
+
+    def configure(self) -> None:
+        """Begin afresh with the component that the parameters say."""
+        super().configure()
+        self._pending = self._announced = None
+        self._output = (0.0,) * self.scenario.robot.joints
+        for line in getattr(self.parameters.component, "warnings", list)():
+            self.get_logger().warning(line)
+
+    def take(self, name: str, sample: Any) -> None:
+        """Apply a pending change before the inputs of the next tick are looked at."""
+        if self._pending is not None and (self.aligner.last is None or sample.time_ns > self.aligner.last):
+            component, self._pending = self._pending, None
+            self.use(component)
+        super().take(name, sample)
+
+    def announce(self, time_ns: int, component: Component, output: Vector) -> None:
+        """Tell which component gave this tick's output, if it is not the one of the tick before."""
+        if component is not self._announced:
+            step = tuple([new - old for new, old in zip(output, self._output)])
+            tick = time_ns // self.scenario.dt_ns
+            self._announce(change_message(self.kind, component, time_ns, tick, step))
+            if self._announced is not None:
+                self.get_logger().info(
+                    f"{self.kind} {component.type_name} from tick {tick} on; output step {list(step)} N·m"
+                )
+            self._announced = component
+        self._output = output
+
+
+def change_message(kind: str, component: Component, time_ns: int, tick: int, step: Vector) -> DiagnosticArray:
+    """Describe a component that takes effect at a tick.
+
+    Args:
+        kind: ``controller`` or ``observer``.
+        component: the component.
+        time_ns: stamp of its first tick, ns.
+        tick: number of its first tick.
+        step: change of its output from the tick before, N·m per joint.
+    """
+    mapping: dict[str, Any] = component.to_mapping()
+    values = {"tick": tick, "output_step": [round(x, 12) for x in step], "component": mapping}
+    array = DiagnosticArray(
+        status=[
+            DiagnosticStatus(
+                level=DiagnosticStatus.OK,
+                name=kind,
+                message=component.type_name,
+                values=[KeyValue(key=k, value=json.dumps(v)) for k, v in values.items()],
+            )
+        ]
+    )
+    array.header.stamp.sec, array.header.stamp.nanosec = divmod(time_ns, NANOSECONDS)
+    return array

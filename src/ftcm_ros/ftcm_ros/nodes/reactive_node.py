@@ -1,0 +1,137 @@
+# SPDX-License-Identifier: Apache-2.0
+"""A node that answers: the observer, the controller and the injector."""
+
+from __future__ import annotations
+
+import time
+from abc import abstractmethod
+from collections.abc import Callable
+from itertools import chain
+from math import isfinite
+from typing import Any
+
+from ftcm_ros.nodes.suite_node import POLL_NS, SuiteNode
+from ftcm_ros.timing.durations import Durations
+from ftcm_ros.transport.aligner import Aligner
+from ftcm_ros.transport.codec import JointSample
+from ftcm_ros.transport.topics import DEPTH, Topic
+
+
+def execution_level(times: dict[str, float]) -> str:
+    """Level of a mean execution time: warn above 1 ms, error above 2 ms (as ros2_control has it)."""
+    mean = times.get("execution_mean_us", 0.0)
+    return "error" if mean > 2000 else "warn" if mean > 1000 else "ok"
+
+
+class ReactiveNode(SuiteNode):
+    """A stage that answers: when a tick's inputs are all here, it computes and publishes."""
+
+    def __init__(self, name: str) -> None:
+        """Declare the common parameters; a subclass then calls :meth:`listen`."""
+        super().__init__(name)
+        self.times = Durations()
+        self.gaps = 0
+        """Ticks skipped between two that were answered."""
+        self.age_ns = 0
+        """How long the oldest input of the last tick had waited, ns."""
+        self._arrived = 0
+        self._ahead_ns = 0
+        """How long the tick under way was prepared."""
+        self._incomplete = False
+        """Whether the last input of a tick has come but not all others: wait for those too."""
+        self._answer: list[tuple[Callable[[Any], None], bytes]] = []
+
+    def listen(self, needs: dict[Topic, tuple[str, ...]]) -> None:
+        """Say which topics carry a value per tick.
+
+        Args:
+            needs: per topic, which arrays must be filled; in the order in which a tick's messages come.
+        """
+        self._inputs = {t.name: t for t in needs}
+        self._first = next(iter(self._inputs))
+        self.aligner = Aligner(tuple(self._inputs), pending_limit=DEPTH)
+        for topic, arrays in needs.items():
+            self.plane.subscribe(topic, self._handler(topic, arrays))
+
+    def _handler(self, topic: Topic, arrays: tuple[str, ...]) -> Callable[[bytes, int], None]:
+        name = topic.name
+
+        def handle(data: bytes, published_ns: int) -> None:
+            if not self.active:
+                return
+            sample = self.decode(topic, data, arrays)
+            if sample is None:
+                return
+            if name == self._first and not all(map(isfinite, chain(*sample[1:]))):
+                self.refuse(topic, "not_finite", f"{sample[1:]} is not finite")
+                return
+            self.take(name, sample)
+
+        return handle
+
+    def step(self) -> None:
+        """Wait for the last input of a tick, and take the others with it."""
+        self.plane.poll(POLL_NS, None if self._incomplete else self._inputs[self.aligner.required[-1]])
+
+    def take(self, name: str, sample: JointSample) -> None:
+        """Take one input; answer if its tick is complete."""
+        time_ns, aligner = sample.time_ns, self.aligner
+        begin = time.monotonic_ns()
+        if name == self._first and aligner.last is not None:
+            if time_ns == 0 < aligner.last:  # the plant begins a run
+                self.configure()
+            elif time_ns == aligner.last:  # the plant asks again
+                for publish, data in self._answer:
+                    publish(data)
+                return
+        before = aligner.last
+        values = aligner.put(name, time_ns, sample)
+        if values is None:
+            self._arrived = begin
+            if name == self._first and aligner.pending == 1:  # else others come before it
+                self.prepare(time_ns, sample)
+                self._ahead_ns = time.monotonic_ns() - begin
+            self._incomplete = name == aligner.required[-1]
+            return
+        self._incomplete = False
+        if before is not None and time_ns - before > self.scenario.dt_ns:
+            self.gaps += (time_ns - before) // self.scenario.dt_ns - 1
+        self._answer = self.answer(time_ns, values)
+        for publish, data in self._answer:
+            publish(data)
+        self.ticks += 1
+        end = time.monotonic_ns()
+        self.age_ns = begin - self._arrived if len(aligner.required) > 1 else 0
+        self.times.add(end - begin + self._ahead_ns)
+        self._ahead_ns = 0
+
+    def prepare(self, time_ns: int, sample: JointSample) -> None:
+        """Do what can be done when only the first input of a tick is here."""
+
+    @abstractmethod
+    def answer(
+        self, time_ns: int, values: dict[str, JointSample]
+    ) -> list[tuple[Callable[[Any], None], bytes]]:
+        """Compute one tick: return what to publish."""
+
+    def configure(self) -> None:
+        """Begin afresh with the next tick."""
+        self.aligner.reset()
+        self.times = Durations()
+        self._answer = []
+
+    def health(self) -> tuple[str, str, dict[str, Any]]:
+        """Execution times, gaps and age of inputs."""
+        times = self.statistics("execution", self.times)
+        level = execution_level(times)
+        message = "active" if self.active else "inactive"
+        if self.gaps:
+            level, message = "warn", f"{self.gaps} ticks skipped"
+        return level, message, {
+            **times,
+            "gaps": self.gaps,
+            "stale": self.aligner.stale,
+            "repeated": self.aligner.repeated,
+            "dropped": self.aligner.dropped,
+            "input_age_us": round(self.age_ns / 1000, 1),
+        }  # fmt: skip

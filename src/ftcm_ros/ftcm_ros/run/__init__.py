@@ -1,0 +1,2 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The command ``experiment``: it starts the nodes, drives and watches a run, and reports."""

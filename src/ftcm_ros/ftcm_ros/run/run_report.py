@@ -1,0 +1,71 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The report of an experiment: reads the bags of its runs back, writes tables, figures and a summary."""
+
+from __future__ import annotations
+
+import argparse
+from pathlib import Path
+
+from ftcm_core.errors import FtcmError
+from ftcm_core.report.results import write_results
+from ftcm_ros.analysis.timing import hop_times, percentiles, timing_table, write_figure
+from ftcm_ros.bags.reader import BagContents, read_bag
+from ftcm_ros.run.graph_run import Run
+from ftcm_ros.run.progress import say
+
+
+def read_bags(runs: list[Run]) -> tuple[list[tuple[str, BagContents]], list[str]]:
+    """Read back what was recorded, and say what is not whole.
+
+    Returns:
+        Label and contents of each bag, and why others cannot be read.
+    """
+    found, unreadable = [], []
+    for run in runs:
+        if not run.bag.exists():
+            continue
+        try:
+            bag = read_bag(run.bag)
+        except FtcmError as error:
+            unreadable.append(f"{run.label}: {error}")
+            continue
+        found.append((run.label, bag))
+        if bag.recovered:
+            say(f"warning: {run.label}: bag was not closed; recovered: {bag.recovered}")
+        if bag.unusable:
+            say(f"warning: {run.label}: messages that are no tick left out: {bag.unusable}")
+        if bag.missing:
+            say(f"warning: {run.label}: ticks missing in the bag: {bag.missing}")
+        if bag.trace.status != "completed":
+            say(f"{run.label}: {bag.trace.status}: {bag.trace.detail}")
+    return found, unreadable
+
+
+def report(folder: Path, runs: list[Run], options: argparse.Namespace) -> list[str]:
+    """Read the bags back and write table, figures and summary.
+
+    Returns:
+        Why bags cannot be read.
+
+    Raises:
+        FtcmError: the results cannot be written.
+    """
+    say("reading the bags back ...")
+    contents, unreadable = read_bags(runs)
+    if not contents:
+        return unreadable
+    samples = [(label, hop_times(b)) for label, b in contents]
+    extra = {
+        "mode": options.mode,
+        "timing_us": {label: percentiles(found) for label, found in samples},
+        "timing": {run.label: run.timing for run in runs},
+        "missing_ticks": {label: bag.missing for label, bag in contents},
+        "bags": {label: str(bag.path.relative_to(folder)) for label, bag in contents},
+    }
+    traces = [(label, bag.trace) for label, bag in contents]
+    write_results(folder, traces, extra, timing_table(contents), figures=not options.no_figures)
+    if not options.no_figures:
+        write_figure(samples, folder / "figures" / "timing.png")
+    print((folder / "table.md").read_text(encoding="utf-8").rstrip())
+    say(f"results: {folder}/summary.json, table.md, figures/, bags/")
+    return unreadable

@@ -1,0 +1,68 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Joining the ROS graph with the suite's defaults; what ROS cannot do becomes one line."""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import warnings
+from collections.abc import Iterator, Sequence
+
+import rclpy
+from rclpy.impl.implementation_singleton import rclpy_implementation as _rclpy
+from rclpy.node import Node
+from rclpy.signals import SignalHandlerOptions
+
+from ftcm_core.errors import FtcmError
+from ftcm_ros.transport.network import enclave, secured, set_defaults
+
+
+class JoinError(FtcmError):
+    """ROS cannot start as the environment asks: nothing that uses it can."""
+
+
+@contextlib.contextmanager
+def joining() -> Iterator[None]:
+    """Turn ROS's errors while a process joins into the suite's.
+
+    Raises:
+        JoinError: ROS cannot start as the environment asks.
+    """
+    try:
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore", RuntimeWarning)  # what ROS could not undo after the error
+            yield
+    except _rclpy.RCLError as error:
+        reason = " ".join(str(error).partition(", at /")[0].split())
+        if secured():
+            store = os.environ.get("ROS_SECURITY_KEYSTORE", "")
+            reason += (
+                f"; with ROS_SECURITY_ENABLE=true expected a middleware that has security and, in "
+                f"ROS_SECURITY_KEYSTORE={store!r}, this process's enclave: see docs/security.md"
+            )
+        raise JoinError(f"cannot join the ROS graph: {reason}") from error
+
+
+def join(arguments: Sequence[str] | None = None) -> None:
+    """Initialise ROS; signals stay the caller's.
+
+    Args:
+        arguments: the command line; None: that of the process.
+
+    Raises:
+        JoinError: ROS cannot start as the environment asks.
+    """
+    set_defaults()
+    with joining():
+        rclpy.init(args=arguments, signal_handler_options=SignalHandlerOptions.NO)
+
+
+def join_as(name: str) -> Node:
+    """Initialise ROS and return an ordinary node of the suite's, with its enclave.
+
+    Raises:
+        JoinError: ROS cannot start as the environment asks.
+    """
+    join(["--ros-args", *enclave(name)])
+    with joining():
+        return rclpy.create_node(name)
