@@ -42,7 +42,13 @@ SETTLED = 3
 
 
 def memory_kb(pid: int) -> int:
-    """Resident memory of a process without pages of files (libraries, which others share), kB."""
+    """Return the resident memory of a process without pages of files (libraries, which others share), kB.
+
+    psutil offers it only with the pages of shared memory left out.
+
+    Raises:
+        OSError: there is no such process.
+    """
     text = Path(f"/proc/{pid}/status").read_text(encoding="ascii")
     wanted = ("RssAnon:", "RssShmem:")
     return sum(int(line.split()[1]) for line in text.splitlines() if line.startswith(wanted))

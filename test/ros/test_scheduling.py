@@ -17,10 +17,11 @@ from programs import program
 
 THREADS = """
 import os, threading, time
+import psutil
 from ftcm_ros.timing import scheduling
 lines = scheduling.apply(1, False, "")
 threading.Thread(target=time.sleep, args=(60,), daemon=True).start()
-policies = lambda: {os.sched_getscheduler(int(t)) for t in os.listdir("/proc/self/task")}
+policies = lambda: {os.sched_getscheduler(t.id) for t in psutil.Process().threads()}
 print(lines, policies() == {os.SCHED_FIFO})
 scheduling.release()
 print(policies() == {os.SCHED_OTHER})

@@ -14,7 +14,11 @@ from ftcm_core.errors import FtcmError
 
 
 def write_parameters(file: Path, node: str, parameters: Mapping[str, Any]) -> None:
-    """Write a node's parameter file; whoever waits for it sees it complete."""
+    """Write a node's parameter file. Whoever waits for it sees it complete.
+
+    Raises:
+        OSError: it cannot be written.
+    """
     file.parent.mkdir(parents=True, exist_ok=True)
     unfinished = file.with_suffix(".tmp")
     unfinished.write_text(

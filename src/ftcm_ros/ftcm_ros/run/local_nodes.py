@@ -42,7 +42,11 @@ class LocalNodes:
         self.processes: dict[str, subprocess.Popen[bytes]] = {}
 
     def start(self, node: str, parameters: Mapping[str, Any]) -> None:
-        """Start a node with parameters."""
+        """Start a node with parameters.
+
+        Raises:
+            OSError: its files cannot be written, or no process can be made.
+        """
         self.folder.mkdir(parents=True, exist_ok=True)
         file = self.folder / f"{node}.yaml"
         write_parameters(file, node, parameters)

@@ -8,6 +8,8 @@ import ctypes
 import os
 from pathlib import Path
 
+import psutil
+
 from ftcm_core.errors import FtcmError
 
 _MCL_CURRENT, _MCL_FUTURE = 1, 2
@@ -59,7 +61,10 @@ def apply(priority: int, lock_memory: bool, processors: str) -> list[str]:
 
 
 def waited_seconds() -> float:
-    """How long threads of this process were ready to run without a processor, s; 0 if Linux does not tell."""
+    """Return how long threads of this process were ready to run without a processor, s.
+
+    It is 0 if Linux does not tell. psutil does not offer it.
+    """
     waited = 0
     for file in Path("/proc/self/task").glob("*/schedstat"):
         with contextlib.suppress(OSError, ValueError, IndexError):  # it has just ended
@@ -68,7 +73,7 @@ def waited_seconds() -> float:
 
 
 def release() -> None:
-    """Give all threads of this process ordinary scheduling again: how it ends must hold up nobody."""
-    for thread in os.listdir("/proc/self/task"):
+    """Give all threads of this process ordinary scheduling again, so that its end holds up nobody."""
+    for thread in psutil.Process().threads():
         with contextlib.suppress(OSError):  # it has just ended
-            os.sched_setscheduler(int(thread), os.SCHED_OTHER, os.sched_param(0))
+            os.sched_setscheduler(thread.id, os.SCHED_OTHER, os.sched_param(0))

@@ -100,7 +100,11 @@ class Layout:
         return self.struct.pack(*fields)
 
     def decode(self, data: bytes) -> JointSample | None:
-        """Decode a message of exactly this layout; None if it is not one."""
+        """Decode a message of this layout; return None if it is of another one of the same length.
+
+        Raises:
+            struct.error: it has another length.
+        """
         fields = self.struct.unpack(data)
         if fields[0] != _CDR_LITTLE_ENDIAN or fields[2] >= NANOSECONDS:
             return None
