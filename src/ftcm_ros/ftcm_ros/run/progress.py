@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import os
 import sys
 import threading
 from typing import Any
@@ -21,12 +22,20 @@ def say(text: str) -> None:
     tqdm.write(text, file=sys.stderr)
 
 
+def _on_terminal() -> bool:
+    """Whether stderr is a terminal of a known width."""
+    try:
+        return os.get_terminal_size(sys.stderr.fileno()).columns > 0
+    except (OSError, ValueError):
+        return False
+
+
 class _Lines:
     """Stands in for a terminal: what would be written over the line before becomes a line of its own."""
 
     def write(self, text: str) -> None:
-        if text := text.strip("\r\n"):
-            say(text.rstrip())
+        if text.strip():
+            say(text.strip("\r\n").rstrip())
 
     def flush(self) -> None:
         sys.stderr.flush()
@@ -40,12 +49,12 @@ class Progress(tqdm):  # type: ignore[type-arg]
     def __init__(self, label: str, last_tick: int, dt: float) -> None:
         """Begin a run; nothing is shown yet."""
         self.dt = dt
-        terminal = sys.stderr.isatty()
+        terminal = _on_terminal()
         every = TERMINAL_SECONDS if terminal else LINE_SECONDS
         super().__init__(
             desc=label, total=last_tick, unit=" ticks", file=None if terminal else _Lines(),
             mininterval=every, delay=every, miniters=0, dynamic_ncols=terminal, leave=False,
-            bar_format=_DONE + "{bar}{rate_noinv_fmt}{postfix}, {remaining} left" if terminal
+            bar_format=_DONE + " |{bar}| {rate_noinv_fmt}{postfix}, {remaining} left" if terminal
             else _DONE + ", {rate_noinv_fmt}{postfix}, {remaining} left",
         )  # fmt: skip
 
