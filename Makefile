@@ -94,7 +94,7 @@ lint: test-env ## Check style, format and types
 
 .PHONY: docs
 docs: build ## Write what is generated: the reference pages in docs/ and the SROS2 policy
-	@$(call source,.venv,); python -m ftcm_core.report.reference docs/ && python tools/topics_page.py docs/ && \
+	@$(call source,.venv,); python tools/reference_page.py docs/ && python tools/topics_page.py docs/ && \
 	    python tools/sros_policy.py config/security/
 
 .PHONY: bench

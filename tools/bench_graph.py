@@ -26,7 +26,7 @@ import rclpy
 from rclpy.node import Node
 from rclpy.signals import SignalHandlerOptions
 
-from ftcm_core import benchmark as core
+import bench_core as core
 from ftcm_core.errors import FtcmError
 from ftcm_core.scenario import load
 from ftcm_core.simulation import simulate

@@ -9,7 +9,7 @@ from __future__ import annotations
 import sys
 from xml.etree import ElementTree
 
-from ftcm_ros.parameters.node_parameters import NODES
+from ftcm_ros.parameters.node_parameters import ALL_NODES
 from ftcm_ros.transport.topics import DIAGNOSTICS, TOPICS
 from topics_page import write_or_check
 
@@ -54,7 +54,7 @@ def rules(name: str) -> dict[tuple[str, str], list[str]]:
     reply, request = {f"/{name}/{service}" for service in NODE_SERVICES}, set()
     if name == CONDUCTOR:
         subscribe.add(DIAGNOSTICS.name)
-        request = {f"/{node}/{service}" for node in NODES for service in DRIVEN}
+        request = {f"/{node}/{service}" for node in ALL_NODES for service in DRIVEN}
     else:
         publish |= {f"/{name}/transition_event", *(_absolute(t.name) for t in TOPICS if name in t.publishers)}
         subscribe = {_absolute(t.name) for t in TOPICS if name in t.subscribers}
@@ -76,7 +76,7 @@ def policy() -> str:
     root = ElementTree.Element("policy", version="0.2.0")
     root.append(ElementTree.Comment(_COMMENT))
     enclaves = ElementTree.SubElement(root, "enclaves")
-    for name in (*NODES, CONDUCTOR):
+    for name in (*ALL_NODES, CONDUCTOR):
         enclave = ElementTree.SubElement(enclaves, "enclave", path=f"/ftcm/{name}")
         profiles = ElementTree.SubElement(enclave, "profiles")
         profile = ElementTree.SubElement(profiles, "profile", ns="/", node=name)

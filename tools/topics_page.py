@@ -21,15 +21,15 @@ Generated from the declarations by `python tools/topics_page.py docs/`; do not e
 ## Topics
 
 Every topic is reliable; latched topics are transient local. Stamps of the data topics are the time of
-the tick, t_k = k·dt from zero, in lockstep and in real time; the time a message was received is in the
-bag. Torques are joint torques in N·m; `position`, `velocity` and `effort` are the arrays of
+the tick, t_k = k·dt from zero, in lockstep and in real time; the time a message was published is in
+the bag. Torques are joint torques in N·m; `position`, `velocity` and `effort` are the arrays of
 `sensor_msgs/JointState`, joints by name in any order.
 """
 _PARAMETERS = """
 ## Node parameters
 
-Read-only: set them at start (`--ros-args -p NAME:=VALUE`). The controller and the observer have
-besides, changeable while running, the parameter `controller` or `observer`, and one for every
+Read-only: set them at start (`--ros-args -p NAME:=VALUE`). The controller, the observer and the detector have
+besides, changeable while running, the parameter `controller`, `observer` or `detector`, and one for every
 parameter of every component, `<type>.<name>` (`ftcm.upsilon1`, `do.k1`): see [reference.md](reference.md).
 A change takes effect between two ticks and is announced on `component_changes` with its first tick.
 """

@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 from setuptools import find_packages, setup
 
-NODES = ("plant", "injector", "observer", "controller", "recorder")
+NODES = ("plant", "injector", "observer", "controller", "detector", "recorder")
 
 setup(
     name="ftcm_ros",

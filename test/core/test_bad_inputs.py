@@ -21,23 +21,21 @@ import yaml
 from hypothesis import strategies as st
 
 from ftcm_core import campaign, cli
+from ftcm_core.campaign import plan
 from ftcm_core.errors import FtcmError, ParameterError, ScenarioError, shown
 from ftcm_core.params import ParamSpec, specs
 from ftcm_core.registry import KINDS, components
-from ftcm_core.scenario import (
-    MAX_FILE_BYTES,
-    InitialState,
-    Scenario,
-    _Dumper,
-    apply_override,
-    from_mapping,
-    load,
-    parse_yaml,
-)
+from ftcm_core.scenario import InitialState, Scenario, apply_override, from_mapping, load, parse_yaml
+from ftcm_core.scenario.reading import MAX_FILE_BYTES
+from ftcm_core.scenario.yaml_text import _Dumper
 from inputs import NOT_BAD, inputs, promised
 
 JOINTS = 3
-PAPER = load("paper").to_mapping()
+ENVIRONMENT = {
+    **os.environ, "PYTHONPATH": os.pathsep.join(x for x in sys.path if x), "PYTHONDONTWRITEBYTECODE": "1"
+}  # fmt: skip
+"""In which a child finds the sources."""
+PAPER = load("paper", ["detector=residual_threshold"]).to_mapping()
 TEXT = """\
 robot: puma560
 reference: {type: vo_kang_cosine}
@@ -120,7 +118,7 @@ def scenario_with(kind: str, name: str) -> tuple[tuple[Any, ...], dict[str, Any]
         path: tuple[Any, ...] = ("injection", f"{kind}s", 0)
     else:
         path = (kind,)
-    data = placed({**PAPER, "controller": {"type": "ctc"}}, path, {"type": name})
+    data = placed({**PAPER, "controller": {"type": "ctc"}, "detector": None}, path, {"type": name})
     return path, from_mapping(data).to_mapping()
 
 
@@ -138,7 +136,8 @@ def declared() -> list[tuple[dict[str, Any], tuple[Any, ...], ParamSpec]]:
             else:
                 path, data = scenario_with(kind, name)
             found += [(data, (*path, p), spec) for p, spec in specs(cls).items()]
-    return found
+    robot = components("robot")["puma560"]
+    return found + [(PAPER, ("model", p), spec) for p, spec in specs(robot).items()]
 
 
 NOT_NUMBERS = st.one_of(
@@ -249,6 +248,9 @@ MAPPINGS: list[tuple[Any, ...]] = [
     ("reference",),
     ("controller",),
     ("observer",),
+    ("model",),
+    ("plant",),
+    ("detector",),
     ("sensor",),
     ("initial_state",),
     ("injection",),
@@ -307,7 +309,9 @@ def test_a_key_that_is_not_known(drawn: Any) -> None:
 def unknown_types(draw: Any) -> tuple[tuple[Any, ...], Any]:
     """Where, and what is no component's name there."""
     path = draw(st.sampled_from(COMPONENTS))
-    kind = {"disturbances": "disturbance", "faults": "fault"}.get(path[-2] if len(path) > 1 else "", path[0])
+    kind = {"disturbances": "disturbance", "faults": "fault", "model": "robot"}.get(
+        path[-2] if len(path) > 1 else path[0], path[0]
+    )
     others = [name for k in KINDS for name in components(k)]
     names = st.one_of(
         st.text(max_size=80),
@@ -350,7 +354,8 @@ def test_a_part_of_another_shape(drawn: Any) -> object:
     """A component, record or list that is something else; nothing that is false counts as left out."""
     path, value = drawn
     if (value == [] and path[-1] in ("faults", "disturbances")) or (
-        value == {} and path[-1] in ("initial_state", "injection")
+        # A plant without a type is the default one, a model without values the true robot.
+        value == {} and path[-1] in ("initial_state", "injection", "plant", "model")
     ):
         return NOT_BAD
     return refusal(placed(PAPER, path, value), ".".join(map(str, path)))
@@ -638,6 +643,7 @@ def test_files_that_are_none(tmp_path: Path) -> None:
         text=True,
         timeout=60,
         check=True,
+        env=ENVIRONMENT,
     )
     lines = run.stderr.splitlines()
     assert len(lines) == 2 * len(cases)
@@ -814,7 +820,7 @@ def test_campaign_files(data: dict[Any, Any]) -> object:
     """Refused, or a campaign whose first run is a scenario."""
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(
-            campaign,
+            plan,
             "read_mapping",
             lambda source: (copy.deepcopy(data), {}, "mine.yaml") if source == "mine.yaml" else READ(source),
         )
@@ -826,7 +832,7 @@ def test_campaign_files(data: dict[Any, Any]) -> object:
     return NOT_BAD
 
 
-READ = campaign.read_mapping
+READ = plan.read_mapping
 
 
 # ---- what a scenario may reach ----
@@ -868,7 +874,7 @@ def test_a_run_writes_only_into_its_folder(tmp_path: Path) -> None:
             text=True,
             timeout=120,
             cwd=work,
-            env={**os.environ, "PYTHONDONTWRITEBYTECODE": "1"},
+            env=ENVIRONMENT,
         )
         assert run.returncode == 0, run.stderr
         did = [line.split(" ", 2)[1:] for line in run.stdout.splitlines() if line.startswith("DID")]

@@ -5,7 +5,7 @@ from __future__ import annotations
 
 from typing import Any
 
-from ftcm_core.benchmark import loop_with
+from bench_core import loop_with
 from ftcm_core.scenario import load
 from ftcm_core.simulation import Loop
 

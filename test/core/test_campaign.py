@@ -1,8 +1,11 @@
 # SPDX-License-Identifier: Apache-2.0
 """Campaigns: draws, statistics, reproduction of single runs, strict errors."""
 
+import io
 import json
 import statistics
+import sys
+import time
 import tracemalloc
 
 import pytest
@@ -10,8 +13,9 @@ import pytest
 from ftcm_core import campaign
 from ftcm_core.campaign import Campaign, parse_variation
 from ftcm_core.cli import main
+from ftcm_core.cli.output import progress
 from ftcm_core.errors import FtcmError
-from ftcm_core.metrics import evaluate
+from ftcm_core.recording.metrics import evaluate
 from ftcm_core.scenario import load
 from ftcm_core.simulation import simulate
 
@@ -162,15 +166,35 @@ def test_campaign_file_and_command_line(tmp_path, capsys):
     command = ["campaign", str(path), "--runs", "2", "--engine", "plain", "--jobs", "1", "--json"]
     assert main([*command, "--output", str(out)]) == 0
     said = capsys.readouterr()
-    assert [line.split(" runs, ")[0] for line in said.err.splitlines()] == [
-        f"ftcm: {n}/4" for n in (1, 2, 3, 4)
-    ]
+    assert said.err.rpartition("\r")[2].strip() == "", "what showed the progress is wiped out"
     summary = json.loads(said.out)
     assert summary["campaign"]["seed"] == 5
     assert {name: r["runs"] for name, r in summary["results"].items()} == {"ftcm": 2, "smc": 2}
     assert sorted(p.name for p in out.iterdir()) == ["runs.jsonl", "summary.json", "table.md"]
     assert main([*command, "--output", str(out)]) == 2
     assert "exists already" in capsys.readouterr().err
+
+
+class _Terminal(io.StringIO):
+    def isatty(self):
+        return True
+
+
+def test_progress_says_how_much_is_done_on_one_line(monkeypatch):
+    terminal = _Terminal()
+    monkeypatch.setattr(sys, "stderr", terminal)
+    with progress("run") as show:
+        for n in (1, 2, 4):
+            show(n, 4)
+            time.sleep(0.12)
+    shown = terminal.getvalue()
+    assert "4/4" in shown
+    assert "run" in shown
+    assert "\n" not in shown
+    assert shown.rpartition("\r")[2].strip() == ""
+    monkeypatch.setattr(sys, "stderr", None)
+    with progress("run") as show:
+        show(1, 4)
 
 
 @pytest.mark.parametrize(

@@ -16,13 +16,13 @@ import pytest
 import yaml
 
 import ftcm_core
+import reference_page
 from ftcm_core.cli import main
 from ftcm_core.controllers import Controller
-from ftcm_core.metrics import METRICS
 from ftcm_core.params import specs
+from ftcm_core.recording.metrics import METRICS
+from ftcm_core.recording.trace_file import load_trace
 from ftcm_core.registry import KINDS, components
-from ftcm_core.report import reference
-from ftcm_core.report.results import load_trace
 from ftcm_core.scenario import load, shipped_scenarios
 from ftcm_core.simulation import simulate
 
@@ -235,13 +235,21 @@ def test_list_and_describe_cover_every_component(capsys: pytest.CaptureFixture[s
             assert all(f"  {parameter} = " in written for parameter in specs(cls))
 
 
-def test_reference_page_is_up_to_date(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_reference_page_is_up_to_date(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
     """``--check`` passes on the page in the repository and fails on another, in one line."""
-    assert reference.main(["--check", str(DOCS)]) == 0
-    assert reference.main([str(tmp_path)]) == 0
-    assert reference.main(["--check", str(tmp_path)]) == 0
-    (tmp_path / reference.FILE).write_text("old", encoding="utf-8")
-    assert reference.main(["--check", str(tmp_path)]) == 1
+
+    def page(*arguments: str) -> int:
+        monkeypatch.setattr(sys, "argv", ["reference_page.py", *arguments])
+        return reference_page.main()
+
+    assert page("--check", str(DOCS)) == 0
+    assert page(str(tmp_path)) == 0
+    assert page("--check", str(tmp_path)) == 0
+    (tmp_path / reference_page.FILE).write_text("old", encoding="utf-8")
+    capsys.readouterr()
+    assert page("--check", str(tmp_path)) == 1
     assert len(capsys.readouterr().err.splitlines()) == 1
 
 

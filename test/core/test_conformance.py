@@ -15,23 +15,54 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from ftcm_core.controllers import FeedbackLaw
+from ftcm_core.disturbances import Disturbance
 from ftcm_core.errors import ParameterError, ScenarioError
+from ftcm_core.faults import ActuatorFault, AdditiveFault, CommunicationFault, Fault, RobotFault, SensorFault
 from ftcm_core.params import ParamSpec, specs
 from ftcm_core.registry import KINDS, components
+from ftcm_core.robots import Robot
 from ftcm_core.robots.puma560 import Puma560
 from ftcm_core.scenario import InitialState, Scenario, from_mapping
 from ftcm_core.signals import Measurement, ReferencePoint, Vector
-from ftcm_core.stages import PlantStage
+from plugins import ROBOTS
 
-ROBOT, DT, JOINTS = Puma560(), 1e-3, 3
+DT, KEY = 1e-3, 12345.0
+ROBOT = Puma560()
+BY_JOINTS = {robot.joints: robot for robot in ROBOTS.values()}
+assert sorted(BY_JOINTS) == [1, 2, 3, 6]
 ALL = [(kind, name) for kind in KINDS for name in components(kind)]
+every_number = pytest.mark.parametrize("robot", BY_JOINTS.values(), ids=[f"{n} joints" for n in BY_JOINTS])
+
+
+def fitting(cls: type, robot: Robot, **given: Any) -> Any:
+    """A component whose per-joint lists have an entry for each joint; the first one's, repeated."""
+    lists = {s.name: s.default for s in specs(cls).values() if isinstance(s.default, tuple)}
+    fits = {name: v for name, v in lists.items() if len(v) != robot.joints}
+    return cls(**{**{name: (v[0],) * robot.joints for name, v in fits.items()}, **given})
+
+
+def suits(cls: type, robot: Robot) -> bool:
+    """Whether a component can be used with a robot at all."""
+    if issubclass(cls, Robot):
+        return False
+    component = fitting(cls, robot)
+    if isinstance(component, Fault):
+        return not component.unsuited(robot)
+    return not (isinstance(component, Disturbance) and component.supports(robot.joints))
+
+
 VARIANTS = [  # every component at its defaults, and with every other choice of what it lets one choose
-    pytest.param(kind, cls(**given), id="-".join([kind, name, *given.values()]))
+    pytest.param(
+        kind, fitting(cls, robot, **given), robot, id="-".join([kind, name, *given.values(), str(n)])
+    )
     for kind in KINDS
     for name, cls in components(kind).items()
+    for n, robot in sorted(BY_JOINTS.items())
+    if suits(cls, robot)
     for given in [{}, *({s.name: c} for s in specs(cls).values() for c in s.choices if c != s.default)]
-]
-every_variant = pytest.mark.parametrize(("kind", "component"), VARIANTS)
+] + [pytest.param("robot", robot, robot, id=f"robot-{name}") for name, robot in ROBOTS.items()]
+every_variant = pytest.mark.parametrize(("kind", "component", "robot"), VARIANTS)
 every_component = pytest.mark.parametrize(("kind", "name"), ALL)
 DECLARED = [
     pytest.param(cls, spec, id=f"{cls.__name__}-{spec.name}")
@@ -39,6 +70,7 @@ DECLARED = [
     for spec in specs(cls).values()
 ]
 every_parameter = pytest.mark.parametrize(("cls", "spec"), DECLARED)
+JOINTS = 3
 
 
 def of_kind(kind: str) -> pytest.MarkDecorator:
@@ -46,9 +78,16 @@ def of_kind(kind: str) -> pytest.MarkDecorator:
     return pytest.mark.parametrize("name", components(kind))
 
 
-def vectors(bound: float) -> st.SearchStrategy[Vector]:
+def faults_of(site: type) -> pytest.MarkDecorator:
+    """Parametrise a test by the names of the faults of a site."""
+    return pytest.mark.parametrize(
+        "name", [name for name, cls in components("fault").items() if issubclass(cls, site)]
+    )
+
+
+def vectors(bound: float, joints: int = 3) -> st.SearchStrategy[Vector]:
     """Joint vectors of floats up to a bound."""
-    return st.tuples(*[st.floats(-bound, bound)] * JOINTS)
+    return st.tuples(*[st.floats(-bound, bound)] * joints)
 
 
 @dataclasses.dataclass(frozen=True)
@@ -62,44 +101,89 @@ class Sample:
     estimate: Vector
 
 
-measurements = st.builds(Measurement, vectors(2 * math.pi), vectors(5.0), vectors(200.0))
-samples = st.builds(
-    Sample,
-    st.floats(0.0, 100.0),
-    measurements,
-    measurements,
-    st.builds(ReferencePoint, vectors(2 * math.pi), vectors(5.0), vectors(20.0)),
-    vectors(100.0),
-)
+def samples(joints: int = 3) -> st.SearchStrategy[Sample]:
+    """Any sample of a robot with that many joints."""
+    measurements = st.builds(
+        Measurement, vectors(2 * math.pi, joints), vectors(5.0, joints), vectors(200.0, joints)
+    )
+    reference = st.builds(
+        ReferencePoint, vectors(2 * math.pi, joints), vectors(5.0, joints), vectors(20.0, joints)
+    )
+    return st.builds(
+        Sample, st.floats(0.0, 100.0), measurements, measurements, reference, vectors(100.0, joints)
+    )
 
 
-def outputs(kind: str, component: Any, s: Sample) -> tuple[list[Vector], list[Any]]:
+def control(law: Any, robot: Robot, y: Measurement, r: ReferencePoint, estimate: Vector, state: Any) -> Any:
+    """One tick of a law, prepared as the stage does it."""
+    prepared = law.prepare(robot, DT, y, r, state)
+    return law.step(robot, DT, y, r, estimate, state, prepared)
+
+
+def outputs(kind: str, component: Any, robot: Robot, s: Sample) -> tuple[list[Vector], list[Any]]:
     """Run a component for a tick or two: the joint vectors it gives and the states it passes through."""
-    q, v, u = s.now
+    (q, v, u), joints = s.now, robot.joints
     if kind == "robot":
         a, c = s.reference.acceleration, component
         vectors = [c.inverse_dynamics(q, v, a), c.forward_dynamics(q, v, u), c.inertia_acceleration(q, u)]
-        vectors += [c.inertia_torque(q, a), c.velocity_torque(q, v), c.gravity(q)]
-        return [*vectors, *c.mass_matrix(q), *c.coriolis_matrix(q, v)], []
+        return [*vectors, c.inertia_torque(q, a), c.gravity(q)], []
+    if kind == "plant":
+        first = component.init(robot, q, v)
+        second = component.step(robot, DT, u, first)
+        third = component.step(robot, DT, s.estimate, second)
+        return [x for state in (first, second, third) for x in component.motion(state)], [
+            first,
+            second,
+            third,
+        ]
     if kind == "reference":
-        return list(component.at(s.t, JOINTS)), []
+        return list(component.at(s.t, joints)), []
     if kind == "controller":
-        first = component.init(JOINTS)
-        u1, second = component.step(ROBOT, DT, s.before, s.reference, s.estimate, first)
-        u2, third = component.step(ROBOT, DT, s.now, s.reference, s.estimate, second)
-        assert [len(x) for x in (first, second, third)] == [JOINTS] * 3, "a state has one entry per joint"
+        first = component.init(joints)
+        u1, second = control(component, robot, s.before, s.reference, s.estimate, first)
+        u2, third = control(component, robot, s.now, s.reference, s.estimate, second)
+        assert [len(x) for x in (first, second, third)] == [joints] * 3, "a state has one entry per joint"
         return [u1, u2], [first, second, third]
     if kind == "sensor":
-        first = component.init(JOINTS, 7)
+        first = component.init(joints, 7)
         q1, v1, second = component.step(DT, *s.before[:2], first)
         q2, v2, third = component.step(DT, q, v, second)
         return [q1, v1, q2, v2], [first, second, third]
     if kind == "observer":
-        first = component.init(ROBOT, s.before)
-        estimate, second = component.step(ROBOT, DT, s.now, first)
-        again, third = component.step(ROBOT, DT, s.before, second)
+        first = component.init(robot, s.before)
+        estimate, second = component.step(robot, DT, s.now, first)
+        again, third = component.step(robot, DT, s.before, second)
         return [estimate, again], [first, second, third]
-    return [component.torque(s.t, q, v, u)], []
+    if kind == "detector":
+        first = component.init(joints)
+        one, second = component.step(robot, DT, s.before, u, s.estimate, first)
+        two, third = component.step(robot, DT, s.now, u, s.estimate, second)
+        return [*one, *two], [first, second, third]
+    return stepped(component, robot, s)
+
+
+def stepped(component: Any, robot: Robot, s: Sample) -> tuple[list[Vector], list[Any]]:
+    """The same for a disturbance or a fault."""
+    (q, v, u), t = s.now, s.t
+    if isinstance(component, RobotFault):
+        changed = component.changed(robot)
+        return outputs("robot", changed, changed, s)
+    first = component.init(robot.joints, KEY)
+    if isinstance(component, SensorFault):
+        q1, v1, second = component.step(t, DT, *s.before[:2], first)
+        q2, v2, third = component.step(t + DT, DT, q, v, second)
+        return [q1, v1, q2, v2], [first, second, third]
+    if isinstance(component, CommunicationFault):
+        one, second = component.step(t, DT, s.before, first)
+        two, third = component.step(t + DT, DT, s.now, second)
+        return [*one, *two], [first, second, third]
+    if isinstance(component, ActuatorFault):
+        one, second = component.step(t, DT, u, *s.before[:2], first)
+        two, third = component.step(t + DT, DT, s.estimate, q, v, second)
+        return [one, two], [first, second, third]
+    one, second = component.step(t, DT, *s.before[:2], u, first)
+    two, third = component.step(t + DT, DT, q, v, s.estimate, second)
+    return [one, two], [first, second, third]
 
 
 def leaves(value: Any) -> Iterator[Any]:
@@ -117,7 +201,7 @@ def key_of(kind: str) -> str:
 
 
 def scenario_with(kind: str, entry: Any) -> dict[str, Any]:
-    """A scenario's mapping with one component in it."""
+    """A scenario's mapping with one component in it, for a robot of three joints."""
     data: dict[str, Any] = {
         "robot": "puma560",
         "reference": "constant",
@@ -128,7 +212,7 @@ def scenario_with(kind: str, entry: Any) -> dict[str, Any]:
         data["injection"] = {key_of(kind): [entry]}
     else:
         data[kind] = entry
-    if kind == "controller":
+    if kind in ("controller", "detector"):
         data["observer"] = "do"
     return data
 
@@ -257,16 +341,17 @@ def test_component_round_trips_through_a_scenario(kind: str, name: str) -> None:
 
 
 @every_variant
-@settings(deadline=None, max_examples=40)
-@given(s=samples)
-def test_step_is_pure(kind: str, component: Any, s: Sample) -> None:
+@settings(deadline=None, max_examples=20)
+@given(data=st.data())
+def test_step_is_pure(kind: str, component: Any, robot: Robot, data: st.DataObject) -> None:
     """Twice the same inputs give the same finite floats, one per joint; states are immutable values."""
+    s = data.draw(samples(robot.joints))
     inputs = copy.deepcopy(s)
-    first, states = outputs(kind, component, s)
-    second, states_again = outputs(kind, copy.deepcopy(component), s)
+    first, states = outputs(kind, component, robot, s)
+    second, states_again = outputs(kind, copy.deepcopy(component), copy.deepcopy(robot), s)
     assert repr((first, states)) == repr((second, states_again))
     assert repr(inputs) == repr(s)
-    assert all(isinstance(v, tuple) and len(v) == JOINTS for v in first)
+    assert all(isinstance(v, tuple) and len(v) == robot.joints for v in first)
     assert all(type(x) is float and math.isfinite(x) for v in first for x in v)
     for state in states:
         hash(state)
@@ -274,14 +359,54 @@ def test_step_is_pure(kind: str, component: Any, s: Sample) -> None:
 
 
 @every_variant
-@settings(deadline=None, max_examples=20)
-@given(s=samples)
-def test_equal_per_joint_values_are_the_scalar(kind: str, component: Any, s: Sample) -> None:
+@settings(deadline=None, max_examples=10)
+@given(data=st.data())
+def test_equal_per_joint_values_are_the_scalar(
+    kind: str, component: Any, robot: Robot, data: st.DataObject
+) -> None:
     """A list of equal numbers gives bit for bit what the one number gives."""
-    cls = type(component)
-    scalar = {k: v[0] if isinstance(v, tuple) else v for k, v in component.values.items()}
-    listed = {k: (v,) * JOINTS if specs(cls)[k].per_joint else v for k, v in scalar.items()}
-    assert repr(outputs(kind, cls(**scalar), s)) == repr(outputs(kind, cls(**listed), s))
+    cls, s = type(component), data.draw(samples(robot.joints))
+    if kind == "robot":  # where all links are alike there may be no such body
+        scalar = {k: v for k, v in component.values.items() if not isinstance(v, tuple)}
+    else:
+        scalar = {k: v[0] if isinstance(v, tuple) else v for k, v in component.values.items()}
+    listed = {
+        k: (v,) * robot.joints if specs(cls)[k].per_joint and v is not None else v for k, v in scalar.items()
+    }
+    one, other = cls(**scalar), cls(**listed)
+    if kind == "robot":
+        assert repr(outputs(kind, one, one, s)) == repr(outputs(kind, other, other, s))
+    else:
+        assert repr(outputs(kind, one, robot, s)) == repr(outputs(kind, other, robot, s))
+
+
+@every_variant
+def test_what_fits_makes_a_scenario(kind: str, component: Any, robot: Robot) -> None:
+    """Which reads back; a list of another length is refused by its place, whatever the robot."""
+    fields: dict[str, Any] = {
+        "robot": robot,
+        "reference": components("reference")["constant"](),
+        "controller": components("controller")["ctc"](),
+        "observer": components("observer")["do"](),
+    }
+    key = key_of(kind)
+    fields[key] = (component,) if key != kind else component
+    scenario = Scenario(**fields)
+    assert scenario.columns
+    for spec in specs(type(component)).values():
+        if spec.per_joint:
+            value = getattr(component, spec.name)
+            one = value[0] if isinstance(value, tuple) else (value if value is not None else 1.0)
+            with pytest.raises(ParameterError, match=rf"{spec.name}: .*one per joint \({robot.joints}\)"):
+                Scenario(**_with(fields, key, spec.name, [one] * (robot.joints + 1)))
+
+
+def _with(fields: dict[str, Any], key: str, name: str, value: Any) -> dict[str, Any]:
+    """The fields of a scenario with one parameter of one component changed."""
+    old = fields[key]
+    if isinstance(old, tuple):
+        return {**fields, key: (dataclasses.replace(old[0], **{name: value}),)}
+    return {**fields, key: dataclasses.replace(old, **{name: value})}
 
 
 @every_component
@@ -291,6 +416,7 @@ def test_per_joint_list_must_fit_the_robot(kind: str, name: str) -> None:
     for spec in specs(cls).values():
         if spec.per_joint:
             value = spec.default[0] if isinstance(spec.default, tuple) else spec.default
+            value = 1.0 if value is None else value
             entry = {"type": name, spec.name: [value] * (JOINTS - 1)}
             with pytest.raises(ParameterError, match=spec.name):
                 cls(**{spec.name: [value] * (JOINTS - 1)}).check_joints(JOINTS)
@@ -301,52 +427,60 @@ def test_per_joint_list_must_fit_the_robot(kind: str, name: str) -> None:
 
 
 @of_kind("controller")
-@settings(deadline=None, max_examples=40)
-@given(q=vectors(2 * math.pi), v=vectors(5.0), a=vectors(20.0))
-def test_controller_on_its_reference(name: str, q: Vector, v: Vector, a: Vector) -> None:
+@every_number
+@settings(deadline=None, max_examples=20)
+@given(data=st.data())
+def test_controller_on_its_reference(name: str, robot: Robot, data: st.DataObject) -> None:
     """Without error and with zero state the torque is finite, and every law holds a robot at rest."""
-    law = components("controller")[name]()
-    zero, start = (0.0,) * JOINTS, law.init(JOINTS)
-    u, _ = law.step(ROBOT, DT, Measurement(q, v, zero), ReferencePoint(q, v, a), zero, start)
+    n = robot.joints
+    q, v, a = (data.draw(vectors(bound, n)) for bound in (2 * math.pi, 5.0, 20.0))
+    law = fitting(components("controller")[name], robot)
+    zero, start = (0.0,) * n, law.init(n)
+    u, _ = control(law, robot, Measurement(q, v, zero), ReferencePoint(q, v, a), zero, start)
     assert all(map(math.isfinite, u))
-    held, _ = law.step(ROBOT, DT, Measurement(q, zero, zero), ReferencePoint(q, zero, zero), zero, start)
-    assert held == pytest.approx(ROBOT.gravity(q), abs=1e-13)
+    held, _ = control(law, robot, Measurement(q, zero, zero), ReferencePoint(q, zero, zero), zero, start)
+    assert held == pytest.approx(robot.gravity(q), abs=1e-12)
 
 
 @of_kind("controller")
-@settings(deadline=None, max_examples=40)
-@given(s=samples)
-def test_controller_sees_the_estimate_only_if_it_says_so(name: str, s: Sample) -> None:
-    """The estimate is added as a torque by a law that needs an observer, ignored by one that does not."""
-    law = components("controller")[name]()
-    zero, start = (0.0,) * JOINTS, law.init(JOINTS)
-    u, state = law.step(ROBOT, DT, s.now, s.reference, s.estimate, start)
-    without, state_without = law.step(ROBOT, DT, s.now, s.reference, zero, start)
-    assert state == state_without
-    if law.needs_observer:
-        assert u == tuple(map(float.__add__, without, s.estimate))
-    else:
-        assert repr(u) == repr(without)
+@every_number
+@settings(deadline=None, max_examples=20)
+@given(data=st.data())
+def test_controller_sees_the_estimate_only_if_it_says_so(
+    name: str, robot: Robot, data: st.DataObject
+) -> None:
+    """A law that needs no observer ignores the estimate; what is prepared knows nothing of it."""
+    s, n = data.draw(samples(robot.joints)), robot.joints
+    law = fitting(components("controller")[name], robot)
+    zero, start = (0.0,) * n, law.init(n)
+    u, state = control(law, robot, s.now, s.reference, s.estimate, start)
+    without, state_without = control(law, robot, s.now, s.reference, zero, start)
+    if not law.needs_observer:
+        assert repr((u, state)) == repr((without, state_without))
+    elif isinstance(law, FeedbackLaw):
+        assert (u, state) == (tuple(map(float.__add__, without, s.estimate)), state_without)
 
 
 @of_kind("observer")
-def test_observer_finds_a_constant_disturbance(name: str) -> None:
-    """A robot held at rest against a constant disturbance d: the estimate becomes -d within half a second."""
-    q, d = (0.3, -0.4, 0.7), (5.0, -8.0, 2.0)
-    u = tuple(g - x for g, x in zip(ROBOT.gravity(q), d))
-    plant = PlantStage(ROBOT, DT, q, (0.0,) * JOINTS, None)
-    observer = components("observer")[name]()
-    state = observer.init(ROBOT, plant.measure())
-    for _ in range(500):
-        plant.position, plant.velocity, plant.effort = q, (0.0,) * JOINTS, u
-        estimate, state = observer.step(ROBOT, DT, plant.measure(), state)
-    expected = (0.0,) * JOINTS if name == "none" else tuple(-x for x in d)
-    assert estimate == pytest.approx(expected, abs=1e-9)
+@every_number
+def test_observer_starts_from_zero_and_stays_finite(name: str, robot: Robot) -> None:
+    """Its estimate is zero while nothing has been seen; later one finite number per joint."""
+    n, q = robot.joints, (0.3, -0.4, 0.7, 0.2, -0.1, 0.5)[: robot.joints]
+    observer, rest = fitting(components("observer")[name], robot), (0.0,) * robot.joints
+    y = Measurement(q, rest, robot.gravity(q))
+    state = observer.init(robot, y)
+    estimate, state = observer.step(robot, DT, y, state)
+    assert estimate == pytest.approx(rest, abs=1e-9), "held at rest by its weight alone: no disturbance"
+    pushed = Measurement(q, rest, tuple(x + 3.0 for x in y.effort))
+    for _ in range(200):
+        estimate, state = observer.step(robot, DT, pushed, state)
+        assert len(estimate) == n
+        assert all(map(math.isfinite, estimate))
 
 
 @of_kind("sensor")
 @settings(deadline=None, max_examples=40)
-@given(s=samples)
+@given(s=samples())
 def test_exact_sensor_reports_the_true_motion(name: str, s: Sample) -> None:
     """One that says so gives back what it is given."""
     sensor = components("sensor")[name]()
@@ -370,23 +504,180 @@ def test_reference_rates_are_its_derivatives(name: str, t: float) -> None:
 
 
 @of_kind("reference")
-@pytest.mark.parametrize("joints", [1, 2, 6])
+@pytest.mark.parametrize("joints", [1, 2, 3, 6])
 def test_reference_fits_any_number_of_joints(name: str, joints: int) -> None:
     """One entry per joint."""
     assert [len(x) for x in components("reference")[name]().at(1.0, joints)] == [joints] * 3
 
 
+@of_kind("plant")
+@every_number
+@settings(deadline=None, max_examples=20)
+@given(data=st.data())
+def test_plant_starts_where_it_is_put_and_moves_on_from_its_state(
+    name: str, robot: Robot, data: st.DataObject
+) -> None:
+    """Motion of the first state as given; a step moves by about dt v; the state before stays usable."""
+    s, plant = data.draw(samples(robot.joints)), fitting(components("plant")[name], robot)
+    q, v, u = s.now
+    first = plant.init(robot, q, v)
+    assert plant.motion(first) == (q, v)
+    second = plant.step(robot, 1e-6, u, first)
+    again = plant.step(robot, 1e-6, u, first)
+    assert plant.motion(second) == plant.motion(again)
+    assert plant.motion(second)[0] == pytest.approx([x + 1e-6 * d for x, d in zip(q, v)], abs=1e-6)
+    assert plant.motion(first) == (q, v)
+
+
+@of_kind("plant")
+@every_number
+def test_plant_holds_a_robot_that_is_held(name: str, robot: Robot) -> None:
+    """Under its weight's own torque a robot at rest stays; under more it moves that way."""
+    q, rest = (0.3, -0.4, 0.7, 0.2, -0.1, 0.5)[: robot.joints], (0.0,) * robot.joints
+    plant = fitting(components("plant")[name], robot)
+    state = pushed = plant.init(robot, q, rest)
+    for _ in range(20):
+        state = plant.step(robot, DT, robot.gravity(q), state)
+    for _ in range(20):
+        push = robot.inertia_torque(q, (1.0,) * robot.joints)
+        pushed = plant.step(robot, DT, tuple(map(float.__add__, robot.gravity(q), push)), pushed)
+    assert plant.motion(state)[0] == pytest.approx(q, abs=1e-9)
+    assert plant.motion(pushed)[1] == pytest.approx((0.02,) * robot.joints, rel=0.05)
+
+
+@of_kind("detector")
+@every_number
+def test_detector_is_quiet_about_a_robot_at_rest(name: str, robot: Robot) -> None:
+    """Held by its weight, without any disturbance seen: one residual per joint and no alarm."""
+    n, q = robot.joints, (0.3, -0.4, 0.7, 0.2, -0.1, 0.5)[: robot.joints]
+    rest, detector = (0.0,) * robot.joints, fitting(components("detector")[name], robot)
+    held = robot.gravity(q)
+    state = detector.init(n)
+    for _ in range(100):
+        found, state = detector.step(robot, DT, Measurement(q, rest, held), held, rest, state)
+        assert len(found.residual) == n
+        assert found.alarm == rest
+
+
+@of_kind("detector")
+@every_number
+@settings(deadline=None, max_examples=20)
+@given(data=st.data())
+def test_alarms_are_zero_or_one(name: str, robot: Robot, data: st.DataObject) -> None:
+    """Whatever is measured; one that needs no observer does not look at the estimate."""
+    s, detector = data.draw(samples(robot.joints)), fitting(components("detector")[name], robot)
+    zero, state, blind = (0.0,) * robot.joints, detector.init(robot.joints), detector.init(robot.joints)
+    for y in (s.before, s.now, s.now):
+        found, state = detector.step(robot, 0.1, y, s.estimate, s.estimate, state)
+        unseeing, blind = detector.step(robot, 0.1, y, s.estimate, zero, blind)
+        assert set(found.alarm) <= {0.0, 1.0}
+        assert detector.needs_observer or found == unseeing
+
+
+# Faults, site by site: nothing up to the onset, something after it.
+
+
 @of_kind("fault")
+def test_fault_has_a_site_and_acts_after_its_onset(name: str) -> None:
+    """One of the four; the class belongs to one of the kinds that stages know."""
+    cls = components("fault")[name]
+    bases = (ActuatorFault, SensorFault, AdditiveFault, RobotFault, CommunicationFault)
+    sites = ("actuator", "sensor", "dynamics", "dynamics", "communication")
+    (base,) = [b for b in bases if issubclass(cls, b)]
+    assert cls.site == sites[bases.index(base)]
+    assert cls(start=3.0).start == 3.0
+
+
+FRACTION = st.floats(0.0, 1.0)
+PROFILE = st.sampled_from(["abrupt", "incipient"])
+START = 10.0
+
+
+@faults_of(AdditiveFault)
 @settings(deadline=None, max_examples=40)
-@given(s=samples, fraction=st.floats(0.0, 1.0), profile=st.sampled_from(["abrupt", "incipient"]))
-def test_fault_is_zero_up_to_its_onset(name: str, s: Sample, fraction: float, profile: str) -> None:
+@given(s=samples(), fraction=FRACTION, profile=PROFILE)
+def test_additive_fault_is_zero_up_to_its_onset(name: str, s: Sample, fraction: float, profile: str) -> None:
     """Exactly zero at every t <= T_f; the severity scales what comes after."""
     cls = components("fault")[name]
     q, v, u = s.now
-    start = 10.0
-    assert cls(start=start, profile=profile).torque(fraction * start, q, v, u) == (0.0,) * JOINTS
+    assert cls(start=START, profile=profile).torque(fraction * START, q, v, u) == (0.0,) * JOINTS
     one, three = (
-        cls(start=start, profile=profile, severity=x).torque(start + 1.0, q, v, u) for x in (1.0, 3.0)
+        cls(start=START, profile=profile, severity=x).torque(START + 1.0, q, v, u) for x in (1.0, 3.0)
     )
     assert three == pytest.approx(tuple(3.0 * x for x in one), rel=1e-14)
-    assert cls(start=start, severity=0.0).torque(start + 1.0, q, v, u) == (0.0,) * JOINTS
+    assert cls(start=START, severity=0.0).torque(START + 1.0, q, v, u) == (0.0,) * JOINTS
+
+
+@faults_of(ActuatorFault)
+@every_number
+@settings(deadline=None, max_examples=20)
+@given(data=st.data(), fraction=FRACTION, profile=PROFILE)
+def test_actuator_fault_changes_nothing_up_to_its_onset(
+    name: str, robot: Robot, data: st.DataObject, fraction: float, profile: str
+) -> None:
+    """The torque goes through bit for bit, also at T_f itself and with severity zero; later it does not."""
+    cls, s = components("fault")[name], data.draw(samples(robot.joints))
+    (q, v, u), n = s.now, robot.joints
+    for t, severity in ((fraction * START, 1.0), (START, 1.0), (START + 1.0, 0.0)):
+        fault = fitting(cls, robot, start=START, profile=profile, severity=severity)
+        torque, _ = fault.step(t, DT, u, q, v, fault.init(n, KEY))
+        assert repr(torque) == repr(u)
+    fault = fitting(cls, robot, start=START, profile=profile)
+    torque, _ = fault.step(START + 1.0, DT, (50.0,) * n, q, v, fault.init(n, KEY))
+    assert all(x != 50.0 for x in torque)
+
+
+@faults_of(SensorFault)
+@every_number
+@settings(deadline=None, max_examples=20)
+@given(data=st.data(), fraction=FRACTION, profile=PROFILE)
+def test_sensor_fault_changes_nothing_up_to_its_onset(
+    name: str, robot: Robot, data: st.DataObject, fraction: float, profile: str
+) -> None:
+    """What is measured is reported, also at T_f itself and with severity zero; later it is not."""
+    cls, s = components("fault")[name], data.draw(samples(robot.joints))
+    (q, v, _), n = s.now, robot.joints
+    for t, severity in ((fraction * START, 1.0), (START, 1.0), (START + 1.0, 0.0)):
+        fault = fitting(cls, robot, start=START, profile=profile, severity=severity)
+        assert fault.step(t, DT, q, v, fault.init(n, KEY))[:2] == (q, v)
+    fault = fitting(cls, robot, start=START, profile=profile)
+    position, _, _ = fault.step(START + 1.0, DT, q, v, fault.init(n, KEY))
+    assert all(a != b for a, b in zip(position, q))
+
+
+@faults_of(RobotFault)
+def test_robot_fault_makes_another_robot_of_the_same_joints(name: str) -> None:
+    """The one that is given stays; one that cannot be changed is said so."""
+    fault = components("fault")[name]()
+    changed = 0
+    for robot in BY_JOINTS.values():
+        before = repr(robot)
+        if fault.unsuited(robot):
+            assert len(fault.unsuited(robot).splitlines()) == 1
+            continue
+        other = fault.changed(robot)
+        assert type(other) is type(robot)
+        assert other.joint_names == robot.joint_names
+        assert (other != robot, repr(robot)) == (True, before)
+        changed += 1
+    assert changed
+
+
+@faults_of(CommunicationFault)
+@every_number
+@settings(deadline=None, max_examples=20)
+@given(data=st.data(), fraction=FRACTION)
+def test_communication_fault_lets_every_message_through_up_to_its_onset(
+    name: str, robot: Robot, data: st.DataObject, fraction: float
+) -> None:
+    """Also at T_f itself; whatever is received later has been sent before."""
+    cls, n = components("fault")[name], robot.joints
+    sent = [data.draw(samples(n)).now for _ in range(4)]
+    fault = fitting(cls, robot, start=START)
+    state = fault.init(n, KEY)
+    for t, message in zip((fraction * START, START), sent):
+        received, state = fault.step(t, DT, tuple(message), state)
+        assert received == tuple(message)
+    for k, message in enumerate(sent[2:]):
+        received, state = fault.step(START + (k + 1) * DT, DT, tuple(message), state)
+        assert received in [tuple(x) for x in sent]

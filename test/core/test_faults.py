@@ -1,21 +1,23 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Disturbances and faults: eqs 4, 43 and 47 at points worked out by hand, and which torque they see."""
+"""Disturbances and faults: eqs 4, 43 and 47 at points worked out by hand, and that they see the command."""
 
 from __future__ import annotations
 
 import math
+from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 import pytest
 
+from ftcm_core.disturbances import Disturbance
+from ftcm_core.disturbances.vo_kang_friction import VoKangFriction
 from ftcm_core.faults import time_profile
 from ftcm_core.faults.vo_kang_fault import VoKangFault
-from ftcm_core.faults.vo_kang_friction import VoKangFriction
-from ftcm_core.limits import Limits
-from ftcm_core.scenario import load
+from ftcm_core.scenario import load, replace
 from ftcm_core.signals import TrueDisturbance, Vector
 from ftcm_core.simulation import simulate
-from ftcm_core.stages import InjectorStage
+from ftcm_core.simulation.stages import InjectorStage
 
 ZERO = (0.0, 0.0, 0.0)
 PI = math.pi
@@ -54,7 +56,7 @@ def test_friction_takes_per_joint_and_single_gains() -> None:
     ],
 )  # fmt: skip
 def test_fault_torque(t: float, q: Vector, v: Vector, u: Vector, omega: Vector) -> None:
-    """Eq 47, abrupt at 10 s; on joint 2 it is a share of the torque applied there."""
+    """Eq 47, abrupt at 10 s; on joint 2 it is a share of the command there."""
     assert VoKangFault().torque(t, q, v, u) == pytest.approx(omega, rel=1e-13, abs=1e-13)
 
 
@@ -72,7 +74,9 @@ def test_fault_torque(t: float, q: Vector, v: Vector, u: Vector, omega: Vector) 
 )
 def test_time_profile(t: float, profile: str, rate: float, psi: float) -> None:
     """Eq 4: nothing at t = T_f itself; then 1, or 1 - e^(-ν(t-T_f))."""
-    assert time_profile(t, 10.0, profile, rate) == pytest.approx(psi, rel=1e-14, abs=0.0)
+    fault = VoKangFault(start=10.0, profile=profile, rate=rate)
+    assert time_profile(t, 10.0, fault.evolution) == pytest.approx(psi, rel=1e-14, abs=0.0)
+    assert fault.size(t) == pytest.approx(psi, rel=1e-14, abs=0.0)
 
 
 def test_profile_and_severity_scale_the_whole_fault() -> None:
@@ -84,20 +88,53 @@ def test_profile_and_severity_scale_the_whole_fault() -> None:
     assert part == pytest.approx(1.5 * whole, rel=1e-14)
 
 
-def test_injector_adds_all_sources_for_the_torque_the_drive_applies() -> None:
-    """A fault that takes a share of the torque takes it of the limited one."""
+def test_injector_adds_all_sources_for_the_command() -> None:
+    """Limits and delay are the drive's: what the injector adds depends on the command as it is."""
     t_ns, q, v, u = 14_137_166_941, (0.3, -0.4, 0.7), (0.5, -0.6, 0.8), (1.0, 1000.0, 2.0)
     sources = (VoKangFriction(), VoKangFault(), VoKangFault(severity=2.0))
-    free, limited = (
-        InjectorStage(sources, 3, Limits(x)).step(t_ns, q, v, u) for x in (None, (50.0, 50.0, 50.0))
-    )
-    share = 3 * 0.3 * math.sin(t_ns / 1e9)
-    assert isinstance(free, TrueDisturbance)
-    assert free.torque[1] - limited.torque[1] == pytest.approx(share * 950.0, rel=1e-13)
-    assert (free.torque[0], free.torque[2]) == (limited.torque[0], limited.torque[2])
+    free = replace(load("paper"), disturbances=sources[:1], faults=sources[1:])
+    limited = replace(free, torque_limits=50.0, torque_rate_limits=10.0, torque_delay=3)
+    found = InjectorStage(free).step(t_ns, q, v, u)
+    assert found == InjectorStage(limited).step(t_ns, q, v, u)
+    assert isinstance(found, TrueDisturbance)
     alone = [s.torque(t_ns / 1e9, q, v, u) for s in sources]
-    assert free.torque == pytest.approx(np.sum(alone, axis=0), rel=1e-14)
-    assert InjectorStage((), 3, None).step(t_ns, q, v, u) == TrueDisturbance(ZERO)
+    assert found.torque == pytest.approx(np.sum(alone, axis=0), rel=1e-14)
+    less = InjectorStage(free).step(t_ns, q, v, (1.0, 50.0, 2.0))
+    assert found.torque[1] - less.torque[1] == pytest.approx(
+        3 * 0.3 * math.sin(t_ns / 1e9) * 950.0, rel=1e-13
+    )
+    assert (found.torque[0], found.torque[2]) == (less.torque[0], less.torque[2])
+    quiet = InjectorStage(replace(free, disturbances=(), faults=()))
+    assert quiet.step(t_ns, q, v, u) == TrueDisturbance(ZERO)
+
+
+def test_injector_gives_every_source_its_own_stream_and_keeps_its_state() -> None:
+    """State from step to step, the tick length (of all skipped ticks), a key of its own each."""
+    seen: list[tuple[float, float, float]] = []
+
+    @dataclass(frozen=True, kw_only=True)
+    class Counting(Disturbance):
+        """Counts: torque = number of the step."""
+
+        def init(self, joints: int, key: float) -> Any:
+            return key, 0.0
+
+        def step(self, t: float, dt: float, q: Vector, v: Vector, u: Vector, state: Any) -> Any:
+            key, n = state
+            seen.append((key, n, dt))
+            return (n,) * len(q), (key, n + 1.0)
+
+    scenario = replace(load("paper"), disturbances=(Counting(), Counting()), faults=())
+    stage = InjectorStage(scenario)
+    torques = [stage.step(k * 1_000_000, ZERO, ZERO, ZERO, ticks).torque[0] for k, ticks in ((0, 1), (3, 3))]
+    assert torques == [0.0, 2.0]
+    assert [n for _, n, _ in seen] == [0.0, 0.0, 1.0, 1.0]
+    assert [dt for _, _, dt in seen] == [1e-3, 1e-3, 3e-3, 3e-3]
+    keys = [key for key, _, _ in seen]
+    assert keys[:2] == keys[2:]
+    assert keys[0] != keys[1]
+    other = InjectorStage(replace(scenario, seed=1))
+    assert [state[0] for state in other.state] != keys[:2]
 
 
 def test_fault_begins_the_tick_after_its_onset() -> None:

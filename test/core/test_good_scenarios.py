@@ -4,7 +4,6 @@
 from __future__ import annotations
 
 import json
-import math
 import warnings
 from typing import Any
 
@@ -12,16 +11,19 @@ import numpy as np
 import pytest
 from hypothesis import strategies as st
 
-from ftcm_core import compiled, tracing
+from ftcm_core import compiled
+from ftcm_core.compiled import program
 from ftcm_core.errors import ScenarioError
-from ftcm_core.metrics import result
 from ftcm_core.params import ParamSpec, specs
+from ftcm_core.recording.metrics import result
 from ftcm_core.registry import components
 from ftcm_core.report.results import labelled, report, to_json
 from ftcm_core.scenario import InitialState, Scenario, from_mapping, parse_yaml
 from ftcm_core.simulation import Loop, simulate
-from ftcm_core.trace import COLUMNS, MEASURED
+from ftcm_core.simulation.stages import robot_changes
 from inputs import NOT_BAD, inputs, promised
+from traces import close
+from written_tick import WrittenTick, state_numbers
 
 JOINTS = 3
 
@@ -62,11 +64,24 @@ def component(kind: str, bound: float) -> st.SearchStrategy[dict[str, Any]]:
     )
 
 
+def robots(bound: float) -> st.SearchStrategy[dict[str, Any]]:
+    """A robot at its defaults, with a payload, or with any values, of which most are no bodies."""
+    loaded = st.integers(0, 20).map(lambda n: {"type": "puma560", "payload_mass": n / 10})
+    return st.one_of(st.just({"type": "puma560"}), loaded, component("robot", bound))
+
+
+def beliefs(bound: float) -> st.SearchStrategy[dict[str, Any]]:
+    """A model: a robot of its own, or the true one with some values changed in percent."""
+    percent = st.tuples(st.sampled_from(["mass", "inertia_zz", "motor_inertia"]), st.integers(-30, 30))
+    return st.one_of(robots(bound), percent.map(lambda p: {p[0]: f"{p[1]:+d} %"}))
+
+
 def scenarios(
     bound: float, most: int = 100, **given: st.SearchStrategy[Any]
 ) -> st.SearchStrategy[dict[str, Any]]:
     """Mappings whose values are all within their declared bounds; 20 ticks or more."""
-    parts = {kind: component(kind, bound) for kind in ("robot", "reference", "controller", "observer")}
+    parts = {kind: component(kind, bound) for kind in ("reference", "controller", "observer")}
+    parts["robot"] = robots(bound)
     injection = {
         "disturbances": st.lists(component("disturbance", bound), max_size=2),
         "faults": st.lists(component("fault", bound), max_size=2),
@@ -74,6 +89,9 @@ def scenarios(
     more = {
         "name": st.text(max_size=20),
         "sensor": component("sensor", bound),
+        "plant": component("plant", bound),
+        "detector": component("detector", bound),
+        "model": beliefs(bound),
         "initial_state": parameters(InitialState, bound),
         "injection": st.fixed_dictionaries({}, optional=injection),
         "torque_limits": value(specs(Scenario)["torque_limits"], bound),
@@ -115,7 +133,7 @@ LINE_BREAK = {
 """Its name did not read back."""
 
 
-@inputs(1000, of=1400, examples=({"data": LINE_BREAK},), data=sizes.flatmap(scenarios))
+@inputs(1000, of=1700, examples=({"data": LINE_BREAK},), data=sizes.flatmap(scenarios))
 def test_every_run_ends_with_a_status(data: dict[str, Any]) -> object:
     """Completed with all its ticks and finite, or diverged with the time and finite until then.
 
@@ -132,16 +150,16 @@ def test_every_run_ends_with_a_status(data: dict[str, Any]) -> object:
         found = labelled("run", trace)
         tables = report([found])
     assert trace.status in ("completed", "diverged")
+    assert tuple(trace.columns) == scenario.columns
     if trace.status == "completed":
         assert trace.ticks == scenario.last_tick + 1
     else:
         assert trace.detail.startswith("at t = ")
         assert len(trace.detail.splitlines()) == 1
         assert trace.ticks <= scenario.last_tick + 1
-    for name in (*COLUMNS, *([] if scenario.sensor.exact else MEASURED)):
-        column = getattr(trace, name)
+    for name, column in trace.columns.items():
         assert column.shape == (trace.ticks, JOINTS)
-        if name == "disturbance_estimate" and not scenario.controller.needs_observer:
+        if name in ("disturbance_estimate", "residual") and not scenario.controller.needs_observer:
             continue  # an observer that nothing follows may overflow by itself
         # The tick that makes a run diverge is recorded as it is.
         assert np.isfinite(column if trace.status == "completed" else column[:-1]).all(), name
@@ -178,33 +196,48 @@ def test_the_written_tick_is_the_plain_one(data: dict[str, Any]) -> object:
             return NOT_BAD
         loop.tick(k * scenario.dt_ns, False, lambda row: None)
     try:
-        tracer, text = compiled.write(loop)
-    except (tracing.NotTraceable, ArithmeticError):  # such a run is a plain one
+        written = WrittenTick(loop)
+    except compiled.NotCompilable:  # such a run is a plain one
         return NOT_BAD
-    names: dict[str, Any] = {name: function for function, name in tracer.leaves.items()} | {"math": math}
-    exec(text, names)
-    known: dict[Any, Any] = {}
-    parameters = [tracing.look_up(loop, steps, known) for steps in tracer.slots]
-    if not all(isinstance(x, float) for x in parameters):
+    last = min([scenario.last_tick, *(time_ns // scenario.dt_ns for time_ns, _ in robot_changes(scenario))])
+    if last <= 3:
         return NOT_BAD
-    written: dict[tuple[int, int], float] = {}
-    state = list(compiled.flat(loop))
     try:
-        reached = names["ticks"](parameters, state, 3, scenario.last_tick, scenario.dt_ns, written)
+        reached = written.run(3, last)
     except (ArithmeticError, ValueError):  # found again, and stated, by the plain run
-        return NOT_BAD
-    for k in range(3, reached):
-        assert not plain.tick(k * scenario.dt_ns, False, lambda row: rows.append(list(row)))
-    width = len(rows[0]) if rows else 0
-    assert [[written[k, i] for i in range(width)] for k in range(3, reached)] == rows
-    if reached < scenario.last_tick:  # it hands back a tick that it does not cover
+        reached = written.reached[0]
+        assert plain_to(plain, scenario, reached, rows)
+        assert written.rows[: reached - 3] == rows
         return rows or NOT_BAD
-    assert state == list(compiled.flat(plain))
+    reason = plain_to(plain, scenario, reached, rows)
+    assert written.rows == rows
+    assert bool(reason) == (reached < last)
+    if reached < last:  # it hands back a tick that it does not cover
+        return rows or NOT_BAD
+    assert written.state == state_numbers(plain)
     return rows
+
+
+def plain_to(plain: Loop, scenario: Scenario, last: int, rows: list[list[float]]) -> str:
+    """Run plainly from tick 3 to before ``last``; what the next tick says if the run has not ended."""
+    for k in range(3, last):
+        assert not plain.tick(k * scenario.dt_ns, False, lambda row: rows.append(list(row)))
+    return plain_reason(plain, last * scenario.dt_ns)
+
+
+def plain_reason(plain: Loop, time_ns: int) -> str:
+    """Why a run ends in a tick; it is left as it was before it."""
+    kept = program.state_of(plain)
+    reason = plain.tick(time_ns, False, lambda row: None)
+    program.put_state(plain, kept)
+    return reason
 
 
 fixed = {
     "robot": st.just("puma560"),
+    "model": st.none(),
+    "plant": st.none(),
+    "detector": st.none(),
     "observer": st.builds(
         lambda k1, k2: {"type": "do", "k1": k1, "k2": k2}, st.floats(10.0, 1e5), st.floats(1.0, 500.0)
     ),
@@ -238,8 +271,7 @@ def test_compiled_runs_are_the_plain_ones(tmp_path_factory: Any, monkeypatch: py
         trace, plain = compiled.simulate(scenario), simulate(scenario)
         assert trace.engine == "compiled"
         assert (trace.status, trace.ticks) == (plain.status, plain.ticks)
-        for name in COLUMNS:
-            np.testing.assert_allclose(getattr(trace, name), getattr(plain, name), rtol=1e-6, atol=1e-6)
+        close(trace, plain, rtol=1e-6, atol=1e-6)
 
     run()
 

@@ -22,7 +22,7 @@ from ftcm_core.controllers.nftsmc import NFTSMC
 from ftcm_core.controllers.pid import PID
 from ftcm_core.controllers.smc import SMC
 from ftcm_core.controllers.super_twisting import gain_condition, largest_bound, least_upsilon2, super_twisting
-from ftcm_core.controllers.terminal_surface import settling_time_bound, surface, surface_rate, switch_error
+from ftcm_core.controllers.terminal_surface import settling_time_bound, surface_and_rate, switch_error
 from ftcm_core.errors import ParameterError
 from ftcm_core.numeric import logistic, sgn, sig
 from ftcm_core.robots.puma560 import Puma560
@@ -30,6 +30,7 @@ from ftcm_core.signals import Measurement, ReferencePoint, Vector
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "reference"))
 import laws_matrix
+from robot_matrices import coriolis_matrix, mass_matrix
 
 ROBOT, DT = Puma560(), 1e-3
 ZERO = (0.0, 0.0, 0.0)
@@ -45,6 +46,23 @@ quick = settings(deadline=None, max_examples=200)
 def vectors(bound: float) -> st.SearchStrategy[Vector]:
     """Three joint values up to a bound."""
     return st.tuples(*[st.floats(-bound, bound)] * 3)
+
+
+def surface(e: float, de: float, epsilon: float = 1e-4, **p: float) -> float:
+    """σ alone; ε has no part in it."""
+    return surface_and_rate(e, de, epsilon=epsilon, **p)[0]
+
+
+def surface_rate(e: float, de: float, **p: float) -> float:
+    """S alone."""
+    return surface_and_rate(e, de, **p)[1]
+
+
+def step(
+    law: Controller, dt: float, y: Measurement, r: ReferencePoint, tau_hat: Vector, state: Any
+) -> tuple[Vector, Any]:
+    """One tick of a law, prepared as the stage does it."""
+    return law.step(ROBOT, dt, y, r, tau_hat, state, law.prepare(ROBOT, dt, y, r, state))
 
 
 # Scalar helpers.
@@ -120,6 +138,7 @@ def test_surface_is_continuous_and_grows_with_the_error(e: float, p: dict[str, f
 @given(e=errors, de=rates, p=surfaces, epsilon=st.floats(1e-8, 0.1))
 def test_epsilon_acts_only_below_itself(e: float, de: float, p: dict[str, float], epsilon: float) -> None:
     """Above ε nothing changes; at e = 0 the slope is that of |e| = ε; S is continuous across ε."""
+    assert surface(e, de, **p, epsilon=epsilon) == surface(e, de, **p)
     if abs(e) >= epsilon:
         assert surface_rate(e, de, **p, epsilon=epsilon) == surface_rate(e, de, **p, epsilon=1e-300)
     z, a, phi = 0.0, p["alpha"], p["phi"]
@@ -244,8 +263,8 @@ def situation(y: Measurement, r: ReferencePoint) -> laws_matrix.Situation:
     """The same tick as arrays, with the robot's matrices."""
     return laws_matrix.Situation(
         *map(np.array, (*y[:2], *r)),
-        np.array(ROBOT.mass_matrix(y.position)),
-        np.array(ROBOT.coriolis_matrix(y.position, y.velocity)),
+        mass_matrix(ROBOT, y.position),
+        coriolis_matrix(ROBOT, y.position, y.velocity),
         np.array(ROBOT.gravity(y.position)),
     )
 
@@ -303,7 +322,7 @@ def test_one_step_agrees_with_the_matrix_form(
     expected, sigma, eta_next = matrix_form(law, s, tau_hat, eta)
     assume(np.all((np.abs(sigma) > 1e-6) | (sigma == 0)))
     state = tuple((x,) for x in eta) if isinstance(law, FTCM) else law.init(3)
-    u, following = law.step(ROBOT, DT, y, r, tau_hat, state)
+    u, following = step(law, DT, y, r, tau_hat, state)
     found = [law.sliding_variable(e, de, j) for j, (e, de) in enumerate(zip(s.e.tolist(), s.de.tolist()))]
     assert found == pytest.approx(sigma, rel=1e-14, abs=1e-13)
     assert u == pytest.approx(expected, rel=0, abs=1e-12 * max(100.0, np.abs(expected).max()))
@@ -320,7 +339,7 @@ def test_first_torque_of_the_paper() -> None:
     }
     golden[NFTSMC] = golden[SMC]
     for law, expected in golden.items():
-        u, _ = law().step(ROBOT, DT, y, r, ZERO, law().init(3))
+        u, _ = step(law(), DT, y, r, ZERO, law().init(3))
         assert u == pytest.approx(expected, abs=1e-9)
 
 
@@ -350,7 +369,7 @@ def test_computed_torque_gives_linear_error_dynamics(
 ) -> None:
     """ë + kd ė + kp e = 0 on the nominal robot."""
     law = CTC(kp=[50, 60, 70], kd=[5, 6, 7])
-    u, _ = law.step(ROBOT, DT, Measurement(q, v, ZERO), ReferencePoint(qr, vr, ar), ZERO, law.init(3))
+    u, _ = step(law, DT, Measurement(q, v, ZERO), ReferencePoint(qr, vr, ar), ZERO, law.init(3))
     a = ROBOT.forward_dynamics(q, v, u)
     for j in range(3):
         feedback = law.kd[j] * (v[j] - vr[j]) + law.kp[j] * (q[j] - qr[j])
@@ -360,7 +379,7 @@ def test_computed_torque_gives_linear_error_dynamics(
 def pid_step(law: PID, e: float, state: Any) -> tuple[Vector, Any]:
     """One tick of joint errors e at rest at q = 0; the torque without gravity."""
     rest = ReferencePoint((-e,) * 3, ZERO, ZERO)
-    u, state = law.step(ROBOT, 0.01, Measurement(ZERO, ZERO, ZERO), rest, ZERO, state)
+    u, state = step(law, 0.01, Measurement(ZERO, ZERO, ZERO), rest, ZERO, state)
     return tuple(x - g for x, g in zip(u, ROBOT.gravity(ZERO))), state
 
 

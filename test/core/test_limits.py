@@ -11,13 +11,15 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from ftcm_core.errors import ScenarioError
-from ftcm_core.limits import Limits, command_beyond, drive_torque
-from ftcm_core.metrics import result
+from ftcm_core.limits import Limits, command_beyond
+from ftcm_core.recording.metrics import result
 from ftcm_core.report.table import comparison_table
 from ftcm_core.scenario import Scenario, load
 from ftcm_core.signals import TrueDisturbance, Vector
 from ftcm_core.simulation import simulate
-from ftcm_core.trace import COLUMNS, Trace
+from ftcm_core.simulation.drive import drive_torque
+from ftcm_core.simulation.stages import PlantStage
+from traces import same
 
 NAMES = ("joint1", "joint2", "joint3")
 ZERO = (0.0,) * 3
@@ -29,10 +31,6 @@ TRIPS = {
 }
 vectors = st.tuples(*[st.floats(-1e6, 1e6)] * 3)
 bounds = st.none() | st.tuples(*[st.floats(1e-3, 1e5)] * 3)
-
-
-def equal(a: Trace, b: Trace) -> bool:
-    return all(np.array_equal(getattr(a, name), getattr(b, name)) for name in COLUMNS)
 
 
 def start_of(overrides: list[str]) -> list[str]:
@@ -69,22 +67,23 @@ def test_the_effort_of_a_run_keeps_torque_and_rate_limits() -> None:
     assert (np.abs(trace.effort) <= [60, 90, 40]).all()
     assert (steps <= np.array([4.0, 2.0, 1.0]) * (1 + 1e-9)).all()
     assert (steps.max(axis=0) > np.array([4.0, 2.0, 1.0]) * (1 - 1e-9)).all(), "each rate limit was reached"
-    assert not equal(trace, free)
+    assert not same(trace, free)
 
 
 def test_limits_that_are_never_reached_change_nothing() -> None:
     wide = ["torque_limits=1e9", "torque_rate_limits=1e12", "velocity_limits=900"]
     wide += ["position_lower_limits=-50", "position_upper_limits=50", "stop_damping=1", "duration=0.3"]
-    assert equal(simulate(load("paper", wide)), simulate(load("paper", ["duration=0.3"])))
+    assert same(simulate(load("paper", wide)), simulate(load("paper", ["duration=0.3"])))
 
 
-def test_the_injector_sees_the_torque_that_the_drive_applies() -> None:
-    """The fault on joint 2 is 0.3 sin(t) times it."""
+def test_the_injector_sees_the_command_whatever_the_drive_applies() -> None:
+    """The fault on joint 2 is 0.3 sin(t) u2 (eq 47) of the command, not of what limits and delay leave."""
     overrides = [*RATE, "injection.disturbances=[]", "injection.faults.0.start=0", "torque_delay=2"]
     trace = simulate(load("paper", overrides))
-    expected = 0.3 * np.sin(trace.time[1:-1]) * trace.effort[2:, 1]
+    expected = 0.3 * np.sin(trace.time[1:-1]) * trace.command[1:-1, 1]
     assert np.allclose(trace.disturbance[1:-1, 1], expected, rtol=1e-12, atol=0)
     assert np.abs(expected).max() > 0.1
+    assert np.abs(trace.command[1:-1, 1] - trace.effort[2:, 1]).max() > 10.0, "the drive applies another"
 
 
 @pytest.mark.parametrize(("override", "what"), TRIPS.items())
@@ -102,7 +101,7 @@ def test_motion_beyond_a_limit_ends_the_run_with_a_status_of_its_own(override: s
     limit = float(trace.detail.split("limit of ")[1].split()[0])
     column = getattr(trace, what)[:, joint]
     assert column.min() >= limit if "below" in trace.detail else np.abs(column).max() <= limit
-    assert all(np.array_equal(getattr(trace, c), getattr(free, c)[: trace.ticks]) for c in COLUMNS)
+    assert same(trace, free, slice(trace.ticks))
     table = comparison_table([result(trace)])
     assert f"limit_exceeded at {trace.ticks * 1e-3:g} s" in table
 
@@ -145,13 +144,13 @@ def test_limits_that_make_no_sense_are_refused_in_one_line(overrides: list[str],
 
 def stopped(scenario: Scenario, ticks: int) -> tuple[list[Vector], list[Vector]]:
     """Velocities before, and efforts over, each tick of a safe stop."""
-    plant, velocities, efforts = scenario.plant_stage(), [], []
-    for _ in range(ticks):
-        velocities.append(plant.velocity)
-        plant.safe_stop(TrueDisturbance(ZERO))
+    plant, velocities, efforts = PlantStage(scenario), [], []
+    for k in range(ticks):
+        velocities.append(plant.motion[1])
+        plant.safe_stop(k * scenario.dt_ns, TrueDisturbance(ZERO))
         assert plant.reason == ""
-        assert plant.measure().effort == plant.effort
-        efforts.append(plant.effort)
+        assert plant.measure().effort == plant.state.drive.effort == plant.state.joint_torque
+        efforts.append(plant.measure().effort)
     return velocities, efforts
 
 
@@ -172,11 +171,21 @@ def test_a_safe_stop_keeps_the_limits_of_the_drives_and_is_not_delayed() -> None
 
 
 def test_after_a_safe_stop_no_command_from_before_it_comes_out() -> None:
-    plant = load("paper", ["torque_delay=3"]).plant_stage()
-    for _ in range(5):
-        plant.step((7.0,) * 3, TrueDisturbance(ZERO))
-    for _ in range(3):
-        plant.safe_stop(TrueDisturbance(ZERO))
-    for _ in range(3):
-        plant.step(ZERO, TrueDisturbance(ZERO))
-        assert 7.0 not in plant.effort
+    plant = PlantStage(load("paper", ["torque_delay=3"]))
+    for k in range(5):
+        plant.step(k * 1_000_000, (7.0,) * 3, TrueDisturbance(ZERO))
+    assert plant.measure().effort == (7.0,) * 3
+    for k in range(5, 8):
+        plant.safe_stop(k * 1_000_000, TrueDisturbance(ZERO))
+    for k in range(8, 11):
+        plant.step(k * 1_000_000, ZERO, TrueDisturbance(ZERO))
+        assert 7.0 not in plant.measure().effort
+
+
+def test_a_safe_stop_of_a_weak_drive_is_weak_too() -> None:
+    """An actuator fault acts while it brakes as well; the drive reports what it believes."""
+    fault = "injection.faults=[{type: loss_of_effectiveness, loss: 0.5, start: 0}]"
+    plant = PlantStage(load("paper", ["initial_state.velocity=1", "stop_damping=10", fault]))
+    plant.safe_stop(1_000_000, TrueDisturbance((1.0, 0.0, 0.0)))
+    assert plant.measure().effort == (-10.0,) * 3
+    assert plant.state.joint_torque == (-4.0, -5.0, -5.0)

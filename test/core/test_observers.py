@@ -3,19 +3,28 @@
 
 from __future__ import annotations
 
+import sys
+from pathlib import Path
+
 import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from ftcm_core.observers.do import DO, observer_step
+from ftcm_core.robots import Robot
 from ftcm_core.robots.puma560 import Puma560
 from ftcm_core.scenario import load
 from ftcm_core.signals import Measurement, Vector
 from ftcm_core.simulation import simulate
-from ftcm_core.stages import ObserverStage
+from ftcm_core.simulation.stages import ObserverStage
+from plugins import ROBOTS
+
+sys.path.insert(0, str(Path(__file__).parents[1] / "reference"))
+from robot_matrices import coriolis_matrix, mass_matrix
 
 ROBOT, DT = Puma560(), 1e-3
+REST = (0.0, 0.0, 0.0)
 K1, K2 = 20000.0, 200.0
 vectors = st.tuples(*[st.floats(-5.0, 5.0)] * 3)
 measurements = st.builds(Measurement, vectors, vectors, st.tuples(*[st.floats(-100.0, 100.0)] * 3))
@@ -31,12 +40,12 @@ def test_step_is_eq_27_by_forward_euler(before: Measurement, now: Measurement, a
     omega, delta = np.array(before.velocity), np.zeros(3)
     for earlier, y in ((before, now), (now, after)):
         tau_hat, state = observer.step(ROBOT, DT, y, state)
-        c = np.array(ROBOT.coriolis_matrix(*earlier[:2]))
+        c = coriolis_matrix(ROBOT, *earlier[:2])
         h = c @ earlier.velocity + ROBOT.gravity(earlier.position)
-        q_u_minus_h = np.linalg.solve(np.array(ROBOT.mass_matrix(earlier.position)), y.effort - h)
+        q_u_minus_h = np.linalg.solve(mass_matrix(ROBOT, earlier.position), y.effort - h)
         innovation = omega - earlier.velocity
         omega, delta = omega + DT * (q_u_minus_h - delta - k2 @ innovation), delta + DT * k1 @ innovation
-        expected = np.array(ROBOT.mass_matrix(y.position)) @ delta
+        expected = mass_matrix(ROBOT, y.position) @ delta
         assert tau_hat == pytest.approx(expected, rel=0, abs=1e-12 * max(100.0, np.abs(expected).max()))
 
 
@@ -71,6 +80,29 @@ def test_step_response() -> None:
     assert response[-1] == pytest.approx(1.0, abs=1e-11)
 
 
+@pytest.mark.parametrize("robot", ROBOTS.values(), ids=ROBOTS)
+def test_a_constant_disturbance_is_found(robot: Robot) -> None:
+    """A robot held at rest against a disturbance d: the estimate becomes -d within half a second, to 1e-9."""
+    n = robot.joints
+    q, d = (0.3, -0.4, 0.7, 0.2, -0.1, 0.5)[:n], (5.0, -8.0, 2.0, 1.0, -1.0, 0.5)[:n]
+    y = Measurement(q, (0.0,) * n, tuple(g - x for g, x in zip(robot.gravity(q), d)))
+    observer = DO()
+    state = observer.init(robot, y)
+    for _ in range(500):
+        estimate, state = observer.step(robot, DT, y, state)
+    assert estimate == pytest.approx(tuple(-x for x in d), abs=1e-9)
+
+
+def test_it_estimates_against_its_model_not_the_robot() -> None:
+    """Held at rest, a payload that the model does not have is a disturbance of its weight."""
+    q, loaded = (0.3, -0.4, 0.7), Puma560(payload_mass=2.0)
+    y, observer = Measurement(q, REST, loaded.gravity(q)), DO()
+    state = observer.init(ROBOT, y)
+    for _ in range(500):
+        estimate, state = observer.step(ROBOT, DT, y, state)
+    assert estimate == pytest.approx(np.subtract(loaded.gravity(q), ROBOT.gravity(q)), abs=1e-9)
+
+
 def test_first_measurement_gives_zero() -> None:
     """The first step has no tick before it: ω̂ is the velocity measured, the estimate zero."""
     stage = ObserverStage(DO(), ROBOT, DT)
@@ -84,7 +116,7 @@ def test_observer_in_a_run_sees_only_what_the_drive_reports() -> None:
     scenario = load("paper", ["duration=0.3", "torque_limits=[20, 60, 15]", "injection.faults.0.start=0.1"])
     trace = simulate(scenario)
     assert (trace.effort[1:] != trace.command[:-1]).any(), "the torque was limited"
-    stage = scenario.observer_stage()
+    stage = ObserverStage(scenario.observer, scenario.model, scenario.dt)
     rows: list[Vector] = [
         stage.step(Measurement(tuple(q), tuple(v), tuple(u)))
         for q, v, u in zip(trace.position.tolist(), trace.velocity.tolist(), trace.effort.tolist())

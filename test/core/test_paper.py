@@ -11,10 +11,10 @@ from typing import Any
 import numpy as np
 import pytest
 
-from ftcm_core.metrics import result
+from ftcm_core.recording.metrics import result
+from ftcm_core.recording.trace import Trace
 from ftcm_core.scenario import load
 from ftcm_core.simulation import simulate
-from ftcm_core.trace import Trace
 
 TABLE_2 = {
     "smc": (0.008021, 0.007490, 0.154244),

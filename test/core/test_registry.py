@@ -3,20 +3,22 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+
 import pytest
 
-from ftcm_core import registry
 from ftcm_core.controllers.smc import SMC
 from ftcm_core.errors import FtcmError
 from ftcm_core.params import param
 from ftcm_core.registry import KINDS, Component, components, find, register
+from plugins import registry_kept
 
 
 @pytest.fixture(autouse=True)
-def _restore(monkeypatch: pytest.MonkeyPatch) -> None:
+def _restore() -> Iterator[None]:
     """What a test registers is gone after it."""
-    for kind in KINDS:
-        monkeypatch.setitem(registry._components, kind, components(kind))
+    with registry_kept():
+        yield
 
 
 def test_one_file_per_component() -> None:
@@ -44,6 +46,8 @@ def test_components_are_sorted_and_found() -> None:
         ("controller", "scm", "no controller 'scm'; did you mean 'smc'?"),
         ("observer", "xyzzy", "no observer 'xyzzy'; known: "),
         ("fault", "vo_kang_friction", "no fault 'vo_kang_friction'; "),
+        ("detector", "residual", "no detector 'residual'; did you mean 'residual_threshold'?"),
+        ("plant", "rigidbody", "no plant 'rigidbody'; did you mean 'rigid_body'?"),
         ("contoller", "smc", "no component kind 'contoller'; did you mean 'controller'?"),
     ],
 )
@@ -70,8 +74,10 @@ def test_register_makes_a_frozen_record() -> None:
 
 
 def test_register_refuses_a_taken_name() -> None:
-    """The message names both classes; the first stays."""
-    with pytest.raises(FtcmError, match=r"controller 'smc' is registered twice: .*SMC.*Other"):
+    """The message names both modules; the first stays."""
+    with pytest.raises(
+        FtcmError, match=r"controller 'smc' is registered twice: by .*\.smc and .*test_registry"
+    ):
 
         @register("controller", "smc")
         class Other(Component):

@@ -12,13 +12,15 @@ import numpy as np
 import pytest
 
 from ftcm_core.errors import FtcmError
+from ftcm_core.recording.trace import Change, Trace
+from ftcm_core.recording.trace_file import load_trace, save_trace
 from ftcm_core.report import figures
 from ftcm_core.report.figures import FIGURES, write_figures
 from ftcm_core.report.panels import envelope
-from ftcm_core.report.results import load_trace, save_trace
 from ftcm_core.scenario import load
+from ftcm_core.signals import COLUMNS
 from ftcm_core.simulation import simulate
-from ftcm_core.trace import COLUMNS, Change, Trace
+from traces import same
 
 matplotlib = pytest.importorskip("matplotlib")
 
@@ -79,9 +81,9 @@ def test_columns_that_are_not_recorded_are_said_so(traces: list[tuple[str, Trace
 def test_a_run_with_every_column_missing_or_no_tick(tmp_path: Path) -> None:
     """Nothing to draw is no reason to fail."""
     trace = run("duration=0.1")
-    nothing = dataclasses.replace(trace, **{c: np.full_like(trace.position, np.nan) for c in COLUMNS})  # type: ignore[arg-type]
+    nothing = dataclasses.replace(trace, **{c: np.full_like(trace.position, np.nan) for c in trace.columns})  # type: ignore[arg-type]
     empty = dataclasses.replace(
-        trace, time_ns=trace.time_ns[:0], **{c: getattr(trace, c)[:0] for c in COLUMNS}
+        trace, time_ns=trace.time_ns[:0], **{c: column[:0] for c, column in trace.columns.items()}
     )
     for i, runs in enumerate(([("nothing", nothing)], [("empty", empty)], [])):
         assert len(write_figures(runs, tmp_path / str(i))) == len(FIGURES)
@@ -149,12 +151,37 @@ def test_a_saved_trace_reads_back_equal(tmp_path: Path) -> None:
     trace = simulate(scenario, [change])
     save_trace(tmp_path / "trace.npz", trace)
     again = load_trace(tmp_path / "trace.npz")
-    for name in COLUMNS:
-        assert np.array_equal(getattr(trace, name), getattr(again, name))
-    assert np.array_equal(trace.time_ns, again.time_ns)
-    about = ("joint_names", "dt", "scenario", "status", "detail", "changes")
+    assert same(trace, again)
+    about = ("joint_names", "dt", "scenario", "status", "detail", "ended_at", "engine", "changes")
     assert [getattr(again, name) for name in about] == [getattr(trace, name) for name in about]
     (tmp_path / "other.npz").write_bytes(b"PK no archive")
     for path in (tmp_path / "other.npz", tmp_path / "none.npz"):
         with pytest.raises(FtcmError):
             load_trace(path)
+
+
+EVERY_COLUMN = [
+    "sensor=encoder",
+    "detector={type: residual_threshold, threshold: 1}",
+    "injection.faults=[{type: loss_of_effectiveness, start: 0.02}]",
+]
+
+
+def test_a_saved_trace_keeps_the_columns_that_only_some_runs_have(tmp_path: Path) -> None:
+    """Measured motion, torque on the joints, residuals and alarms; a run without them has none afterwards."""
+    trace = simulate(load("paper", ["duration=0.1", *EVERY_COLUMN]))
+    assert list(trace.columns) == list(COLUMNS)
+    save_trace(tmp_path / "trace.npz", trace)
+    again = load_trace(tmp_path / "trace.npz")
+    assert same(trace, again)
+    assert again.scenario == trace.scenario
+    for name in ("measured_position", "measured_velocity", "joint_torque", "residual", "alarm"):
+        assert np.abs(again.columns[name]).max() > 0.0, name
+    plain = simulate(load("paper", ["duration=0.1"]))
+    save_trace(tmp_path / "plain.npz", plain)
+    assert list(load_trace(tmp_path / "plain.npz").columns) == list(plain.columns)
+    ended = simulate(load("paper", ["duration=1", "velocity_limits=0.3"]))
+    save_trace(tmp_path / "ended.npz", ended)
+    read = load_trace(tmp_path / "ended.npz")
+    assert (read.status, read.ended_at, read.engine) == ("limit_exceeded", ended.ended_at, "plain")
+    assert read.ended_at is not None

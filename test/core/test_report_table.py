@@ -10,7 +10,7 @@ from typing import Any
 
 import pytest
 
-from ftcm_core.metrics import result
+from ftcm_core.recording.metrics import result
 from ftcm_core.report.results import to_json
 from ftcm_core.report.table import (
     PUBLISHED,

@@ -65,6 +65,6 @@ class Oracle:
         return columns.T
 
 
-def test_closed_form_is_mujocos_dynamics(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_closed_form_is_mujocos_dynamics() -> None:
     """Same structure; with the constants refitted, the same torques and accelerations."""
-    puma560_refit.check(Oracle(), monkeypatch)
+    puma560_refit.check(Oracle())

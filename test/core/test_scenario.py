@@ -17,7 +17,6 @@ from ftcm_core.limits import Limits
 from ftcm_core.params import specs
 from ftcm_core.registry import Component
 from ftcm_core.scenario import (
-    MAX_FILE_BYTES,
     Scenario,
     apply_override,
     from_mapping,
@@ -26,6 +25,7 @@ from ftcm_core.scenario import (
     replace,
     shipped_scenarios,
 )
+from ftcm_core.scenario.reading import MAX_FILE_BYTES
 
 TEXT = """\
 robot: {type: puma560}
@@ -175,8 +175,11 @@ def test_written_scenario_has_every_default() -> None:
     assert mapping["controller"] == FTCM().to_mapping()
     assert mapping["controller"]["epsilon"] == 1e-4
     assert mapping["torque_limits"] is None
-    parts = {"robot", "reference", "controller", "observer", "sensor", "initial_state", "injection"}
-    assert set(mapping) == parts | set(specs(Scenario))
+    parts = {"robot", "model", "plant", "reference", "controller", "observer", "detector", "sensor"}
+    assert set(mapping) == parts | {"initial_state", "injection"} | set(specs(Scenario))
+    assert mapping["model"] == mapping["robot"]
+    assert mapping["plant"] == {"type": "rigid_body", "integrator": "rk4", "substeps": 1}
+    assert mapping["detector"] is None
 
 
 # Mistakes in a file.

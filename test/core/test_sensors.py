@@ -4,22 +4,26 @@
 from __future__ import annotations
 
 import math
+from dataclasses import dataclass
+from typing import Any, ClassVar
 
 import numpy as np
 import pytest
 
-from ftcm_core.faults import Disturbance
+from ftcm_core.disturbances import Disturbance
+from ftcm_core.faults import ActuatorFault
 from ftcm_core.limits import Limits
-from ftcm_core.metrics import evaluate
-from ftcm_core.robots.puma560 import Puma560
-from ftcm_core.scenario import from_mapping, load
+from ftcm_core.random_streams import gaussian, stream_key, uniform
+from ftcm_core.recording.metrics import evaluate
+from ftcm_core.recording.trace import Trace
+from ftcm_core.scenario import from_mapping, load, replace
 from ftcm_core.sensors.encoder import Encoder, encode, low_pass
 from ftcm_core.sensors.ideal import Ideal
-from ftcm_core.signals import TrueDisturbance, Vector
+from ftcm_core.signals import COLUMNS, TrueDisturbance, Vector
 from ftcm_core.simulation import simulate
-from ftcm_core.stages import DelayLine, InjectorStage, PlantStage
-from ftcm_core.streams import gaussian, stream_key, uniform
-from ftcm_core.trace import COLUMNS, MEASURED, Trace
+from ftcm_core.simulation.drive import Drive
+from ftcm_core.simulation.stages import InjectorStage, PlantStage
+from traces import same
 
 DT, Q, V, ZERO = 1e-3, (0.3, -0.4, 0.7), (0.5, -0.6, 0.8), (0.0, 0.0, 0.0)
 QUIET = TrueDisturbance(ZERO)
@@ -28,11 +32,6 @@ QUIET = TrueDisturbance(ZERO)
 def run(*overrides: str) -> Trace:
     """The paper's experiment, 0.2 s of it."""
     return simulate(load("paper", ["duration=0.2", *overrides]))
-
-
-def equal(a: Trace, b: Trace) -> bool:
-    """Bit for bit."""
-    return all(np.array_equal(getattr(a, name), getattr(b, name)) for name in COLUMNS)
 
 
 # Scenario.
@@ -45,8 +44,10 @@ def test_default_is_the_ideal_sensor_without_delay() -> None:
     assert scenario.torque_delay == 0
     assert scenario.to_mapping()["sensor"] == {"type": "ideal"}
     assert scenario.to_mapping()["torque_delay"] == 0
-    assert equal(run(), run("sensor=ideal", "torque_delay=0"))
-    assert all(getattr(run(), name) is None for name in MEASURED)
+    assert same(run(), run("sensor=ideal", "torque_delay=0"))
+    optional = [name for name, column in COLUMNS.items() if column.when]
+    assert [getattr(run(), name) for name in optional] == [None] * 5
+    assert list(run().columns) == list(scenario.columns) == [n for n in COLUMNS if n not in optional]
 
 
 def test_round_trip() -> None:
@@ -138,14 +139,16 @@ def test_noise_has_its_deviation_and_its_seed() -> None:
 
 def test_measurement_is_taken_once_per_tick() -> None:
     """Asking again gives the same; a plant that is asked never or often goes the same way."""
-    encoder = Encoder(noise=1e-3)
-    often, once = (PlantStage(Puma560(), DT, Q, V, None, encoder, 5) for _ in range(2))
-    for _ in range(20):
+    encoder = "sensor={type: encoder, noise: 0.001}"
+    often, once = (PlantStage(load("paper", [encoder, "seed=5"])) for _ in range(2))
+    for k in range(20):
         assert often.measure() == often.measure()
-        often.step(ZERO, QUIET)
-        once.step(ZERO, QUIET)
+        often.step(k * 1_000_000, ZERO, QUIET)
+        once.step(k * 1_000_000, ZERO, QUIET)
     assert often.measure() == once.measure()
-    assert often.measure().position != often.position
+    assert often.measure().position != often.motion[0]
+    other = PlantStage(load("paper", [encoder, "seed=6"]))
+    assert other.measure() != PlantStage(load("paper", [encoder, "seed=5"])).measure()
 
 
 def test_trace_keeps_the_true_motion() -> None:
@@ -172,10 +175,16 @@ def test_observer_and_controller_get_what_is_measured() -> None:
 
 
 def test_delay_line() -> None:
-    """Zeros, then what was put in, in order."""
-    line = DelayLine(2, 1)
-    assert [line.step((float(n),)) for n in range(1, 6)] == [(0.0,), (0.0,), (1.0,), (2.0,), (3.0,)]
-    assert DelayLine(0, 1).step((7.0,)) == (7.0,)
+    """Zeros, then what was put in, in order; the drive reports what it applies."""
+    drive = Drive(Limits(), 2, (), (), DT)
+    state, applied = drive.init(1), []
+    for n in range(1, 6):
+        torque, state = drive.step(0.0, (float(n),), (0.0,), (0.0,), state)
+        assert state.effort == torque
+        applied.append(torque)
+    assert applied == [(0.0,), (0.0,), (1.0,), (2.0,), (3.0,)]
+    undelayed = Drive(Limits(), 0, (), (), DT)
+    assert undelayed.step(0.0, (7.0,), (0.0,), (0.0,), undelayed.init(1))[0] == (7.0,)
 
 
 @pytest.mark.parametrize("ticks", [0, 1, 3])
@@ -187,19 +196,35 @@ def test_effort_is_the_delayed_command(ticks: int) -> None:
     assert not trace.effort[: 1 + ticks].any()
 
 
-def test_faults_see_the_torque_that_acts() -> None:
-    """Loss of effectiveness is of the torque applied, not of the one on its way."""
+def test_disturbances_see_the_command_actuator_faults_the_torque_that_acts() -> None:
+    """The injector's u is the command; delay and limits are the drive's, its faults come after them."""
     seen: list[Vector] = []
+    acted: list[Vector] = []
 
+    @dataclass(frozen=True, kw_only=True)
     class Spy(Disturbance):
         def torque(self, t: float, q: Vector, v: Vector, u: Vector) -> Vector:
             seen.append(u)
             return ZERO
 
-    injector = InjectorStage([Spy()], 3, Limits(torque=(1.5,) * 3), torque_delay=1)
-    for n in (1.0, 2.0, 3.0):
-        injector.step(0, Q, V, (n,) * 3)
-    assert seen == [ZERO, (1.0,) * 3, (1.5,) * 3]
+    @dataclass(frozen=True, kw_only=True)
+    class Shorted(ActuatorFault):
+        type_name: ClassVar[str] = "shorted"
+
+        def step(self, t: float, dt: float, torque: Vector, q: Vector, v: Vector, state: Any) -> Any:
+            acted.append(torque)
+            return ZERO, state
+
+    scenario = load("paper", ["torque_limits=1.5", "torque_delay=1"])
+    scenario = replace(scenario, disturbances=(Spy(),), faults=(Shorted(),))
+    injector, plant = InjectorStage(scenario), PlantStage(scenario)
+    for k, n in enumerate((1.0, 2.0, 3.0)):
+        d = injector.step(k * 1_000_000, Q, V, (n,) * 3)
+        plant.step(k * 1_000_000, (n,) * 3, d)
+    assert seen == [(1.0,) * 3, (2.0,) * 3, (3.0,) * 3]
+    assert acted == [ZERO, (1.0,) * 3, (1.5,) * 3]
+    assert plant.measure().effort == (1.5,) * 3
+    assert plant.state.joint_torque == ZERO
 
 
 @pytest.mark.slow

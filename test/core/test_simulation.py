@@ -5,30 +5,32 @@ from __future__ import annotations
 
 import json
 import math
-from collections.abc import Callable
-from typing import Any, ClassVar
+from collections.abc import Callable, Iterator
+from itertools import pairwise
+from typing import Any
 
 import numpy as np
 import pytest
 
-from ftcm_core import registry
-from ftcm_core.controllers import AccelerationLaw, Controller
+from ftcm_core.controllers import AccelerationLaw, Controller, FeedbackLaw
 from ftcm_core.controllers.ctc import CTC
 from ftcm_core.controllers.ftcm import FTCM
 from ftcm_core.controllers.smc import SMC
 from ftcm_core.errors import ScenarioError
-from ftcm_core.metrics import result
 from ftcm_core.observers.do import DO
 from ftcm_core.observers.none import NoObserver
+from ftcm_core.plants.rigid_body import RigidBody, rk4, semi_implicit_euler
+from ftcm_core.recording.metrics import result
+from ftcm_core.recording.trace import Change, Trace
 from ftcm_core.references.vo_kang_cosine import VoKangCosine
 from ftcm_core.registry import components, register
-from ftcm_core.robots import Robot
 from ftcm_core.robots.puma560 import Puma560
 from ftcm_core.scenario import Scenario, from_mapping, load
 from ftcm_core.signals import Measurement, State, TrueDisturbance, Vector, saturate, seconds
 from ftcm_core.simulation import simulate
-from ftcm_core.stages import ControllerStage, ObserverStage, PlantStage, rk4
-from ftcm_core.trace import COLUMNS, Change, Trace
+from ftcm_core.simulation.stages import ControllerStage, InjectorStage, ObserverStage, PlantStage
+from plugins import ROBOTS, registry_kept, robots_known, scenario_mapping
+from traces import rows_of, same
 
 ROBOT, DT, ZERO = Puma560(), 1e-3, (0.0, 0.0, 0.0)
 Q, V = (0.3, -0.4, 0.7), (0.5, -0.6, 0.8)
@@ -39,23 +41,22 @@ def paper(*overrides: str, duration: float = 0.3) -> Scenario:
     return load("paper", [f"duration={duration}", "injection.faults.0.start=0.1", *overrides])
 
 
-def columns(trace: Trace) -> dict[str, np.ndarray]:
-    """The recorded columns."""
-    return {name: getattr(trace, name) for name in COLUMNS}
-
-
-def same(a: Trace, b: Trace, rows: slice = slice(None)) -> bool:
-    """Whether two runs are equal bit for bit."""
-    return all(
-        x[rows].tobytes() == y[rows].tobytes() for x, y in zip(columns(a).values(), columns(b).values())
-    )
-
-
 @pytest.fixture
-def registered(monkeypatch: pytest.MonkeyPatch) -> None:
+def registered() -> Iterator[None]:
     """What a test registers is gone after it."""
-    for kind in registry.KINDS:
-        monkeypatch.setitem(registry._components, kind, registry.components(kind))
+    with registry_kept():
+        yield
+
+
+def started(position: Vector = Q, velocity: Vector = V, *overrides: str) -> PlantStage:
+    """The paper's plant, moving."""
+    initial = f"initial_state={{position: {list(position)}, velocity: {list(velocity)}}}"
+    return PlantStage(load("paper", [initial, *overrides]))
+
+
+def step(law: Controller, y: Measurement, reference: Any, tau_hat: Vector, state: Any) -> Any:
+    """One tick of a law, prepared as the stage does it."""
+    return law.step(ROBOT, DT, y, reference, tau_hat, state, law.prepare(ROBOT, DT, y, reference, state))
 
 
 # The tick contract.
@@ -67,15 +68,9 @@ def test_tick_contract() -> None:
     trace = simulate(scenario)
     assert (trace.status, trace.detail, trace.ticks) == ("completed", "", 301)
     assert np.array_equal(trace.time_ns, np.arange(301) * 1_000_000)
-    assert all(c.shape == (301, 3) and c.dtype == np.float64 for c in columns(trace).values())
-    observer, controller, injector = (
-        scenario.observer_stage(),
-        scenario.controller_stage(),
-        scenario.injector_stage(),
-    )
-    rows = [
-        dict(zip(COLUMNS, map(tuple, row))) for row in np.stack([*columns(trace).values()], axis=1).tolist()
-    ]
+    assert all(c.shape == (301, 3) and c.dtype == np.float64 for c in trace.columns.values())
+    observer = ObserverStage(scenario.observer, scenario.model, scenario.dt)
+    controller, injector, rows = ControllerStage(scenario), InjectorStage(scenario), rows_of(trace)
     assert rows[0]["effort"] == rows[0]["position"] == rows[0]["velocity"] == ZERO
     for k, row in enumerate(rows):
         y = Measurement(row["position"], row["velocity"], row["effort"])
@@ -139,24 +134,24 @@ def run_stage(stage: ControllerStage, ticks: int) -> Vector:
 
 def test_controller_swap_keeps_the_state_of_the_same_law_only() -> None:
     """Other parameters keep η; another law starts afresh, also when the first one comes back."""
-    stage = ControllerStage(FTCM(), VoKangCosine(), ROBOT, DT)
+    stage = ControllerStage(load("paper"))
     run_stage(stage, 10)
-    eta = stage.state
+    eta = stage.state.law
     assert [len(x) for x in eta] == [1, 1, 1]
     assert all(x != 0.0 for (x,) in eta)
     stage.swap(FTCM(upsilon1=5.0))
-    assert stage.state == eta
+    assert stage.state.law == eta
     stage.swap(SMC())
-    assert stage.state == SMC().init(3)
+    assert stage.state.law == SMC().init(3)
     stage.swap(FTCM())
-    assert stage.state == ((0.0,),) * 3
+    assert stage.state.law == ((0.0,),) * 3
 
 
 @pytest.mark.parametrize("name", components("controller"))
 def test_what_is_prepared_changes_no_float(name: str) -> None:
     """Prepared for this tick, for another tick or motion, or before a swap: the torque is the same."""
     law, other = components("controller")[name](), FTCM(upsilon1=5.0)
-    one, prepared = (ControllerStage(law, VoKangCosine(), ROBOT, DT) for _ in range(2))
+    one, prepared = (ControllerStage(load("paper"), law) for _ in range(2))
     y, moved = Measurement(Q, V, ZERO), Measurement(V, Q, ZERO)
     early: list[tuple[int, Measurement]] = [(0, y), (0, moved), (10**6, y), (10**6, moved)]
     for k in range(40):
@@ -194,7 +189,7 @@ def test_swap_takes_effect_at_its_tick() -> None:
     assert same(plain, trace, slice(150))
     for k in (150, 200):
         y = Measurement(*(tuple(getattr(trace, c)[k].tolist()) for c in ("position", "velocity", "effort")))
-        u, _ = smc.step(ROBOT, DT, y, VoKangCosine().at(k * DT, 3), ZERO, smc.init(3))
+        u, _ = step(smc, y, VoKangCosine().at(k * DT, 3), ZERO, smc.init(3))
         assert tuple(trace.command[k].tolist()) == u
     assert trace.changes == (Change(150, "controller", smc),)
 
@@ -280,15 +275,15 @@ def test_law_out_of_its_domain(
     """A law that raises, or returns no number, in its eighth tick; the drive's limits hide neither."""
 
     @register("controller", "fails")
-    class Fails(Controller):
+    class Fails(FeedbackLaw):
         """Fails: holds the robot, then does not."""
 
         def init(self, joints: int) -> State:
             return ((0.0,),) * joints
 
-        def feedback(self, robot, dt, y, reference, state):
+        def feedback(self, model, dt, y, reference, state):
             following = tuple((n + 1.0,) for (n,) in state)
-            return (robot.gravity(y.position) if state[0][0] < 7.0 else (outcome(),) * 3), following
+            return (model.gravity(y.position) if state[0][0] < 7.0 else (outcome(),) * 3), following
 
     trace = simulate(load("paper", ["controller.type=fails", "duration=0.1", f"torque_limits={limits}"]))
     raised = "torque" not in reason
@@ -335,73 +330,119 @@ def gravity_work(a: np.ndarray, b: np.ndarray) -> float:
 
 def test_free_plant_conserves_energy() -> None:
     """Two seconds of fall at 1 kHz; kinetic and potential energy add up to 1e-9 of what is exchanged."""
-    plant = PlantStage(ROBOT, DT, Q, V, None)
+    plant = started()
     kinetic = [0.5 * np.dot(V, ROBOT.inertia_torque(Q, V))]
-    for _ in range(2000):
-        plant.step(ZERO, TrueDisturbance(ZERO))
-        kinetic.append(0.5 * np.dot(plant.velocity, ROBOT.inertia_torque(plant.position, plant.velocity)))
+    for k in range(2000):
+        plant.step(k * 1_000_000, ZERO, TrueDisturbance(ZERO))
+        q, v = plant.motion
+        kinetic.append(0.5 * np.dot(v, ROBOT.inertia_torque(q, v)))
     assert max(kinetic) > 30.0
-    assert kinetic[-1] - kinetic[0] + gravity_work(np.array(Q), np.array(plant.position)) == pytest.approx(
-        0.0, abs=3e-8
-    )
+    assert kinetic[-1] - kinetic[0] + gravity_work(np.array(Q), np.array(q)) == pytest.approx(0.0, abs=3e-8)
 
 
 def test_command_and_disturbance_add() -> None:
     """The plant moves under their sum; only the command is its effort."""
-    one, other = PlantStage(ROBOT, DT, Q, V, None), PlantStage(ROBOT, DT, Q, V, None)
-    one.step((5.0, 6.0, 7.0), TrueDisturbance((1.0, -2.0, 0.5)))
-    other.step((6.0, 4.0, 7.5), TrueDisturbance(ZERO))
-    assert (one.position, one.velocity) == (other.position, other.velocity)
-    assert (one.effort, other.effort) == ((5.0, 6.0, 7.0), (6.0, 4.0, 7.5))
+    one, other = started(), started()
+    one.step(0, (5.0, 6.0, 7.0), TrueDisturbance((1.0, -2.0, 0.5)))
+    other.step(0, (6.0, 4.0, 7.5), TrueDisturbance(ZERO))
+    assert one.motion == other.motion
+    assert one.motion != (Q, V)
+    assert (one.measure().effort, other.measure().effort) == ((5.0, 6.0, 7.0), (6.0, 4.0, 7.5))
+    assert one.state.joint_torque == other.state.joint_torque == (6.0, 4.0, 7.5)
+
+
+def test_a_stage_is_its_state_and_nothing_else() -> None:
+    """Put back into a state it goes the same way, bit for bit; put into another it goes on from there."""
+    plant = started(Q, V, "torque_delay=2", "sensor={type: encoder, noise: 0.001}")
+    push = TrueDisturbance((1.0, 0.0, -1.0))
+    for k in range(5):
+        plant.step(k * 1_000_000, (10.0, 20.0, 3.0), push)
+    kept = plant.state
+
+    def onwards() -> list[Any]:
+        found = []
+        for k in range(5, 15):
+            plant.step(k * 1_000_000, (9.0, 9.0, 9.0), push)
+            found.append((plant.state, plant.measure(), plant.motion))
+        return found
+
+    first = onwards()
+    plant.state = kept
+    assert repr(onwards()) == repr(first)
+    plant.state = kept._replace(motion=(V, Q))
+    assert plant.motion == (V, Q)
+    assert onwards()[-1] != first[-1]
+
+
+# The plant's integrators.
+
+
+@pytest.mark.parametrize(
+    ("integrator", "advance", "order"), [("rk4", rk4, 4.0), ("semi_implicit_euler", semi_implicit_euler, 1.0)]
+)
+def test_substeps_are_so_many_steps(integrator: str, advance: Any, order: float) -> None:
+    """N substeps are N steps of dt/N, bit for bit; they converge with the order of the integrator."""
+    tau, exact = (3.0, -20.0, 1.0), (Q, V)
+    for _ in range(4000):
+        exact = rk4(ROBOT, 0.1 / 4000, *exact, tau)
+    errors = []
+    for n in (1, 2, 4, 8, 16):
+        plant, expected = RigidBody(integrator=integrator, substeps=n), (Q, V)
+        for _ in range(n):
+            expected = advance(ROBOT, 0.1 / n, *expected, tau)
+        found = plant.motion(plant.step(ROBOT, 0.1, tau, plant.init(ROBOT, Q, V)))
+        assert found == expected
+        errors.append(float(np.abs(np.subtract(found, exact)).max()))
+    orders = np.log2(np.divide(errors[1:-1], errors[2:]))
+    assert orders == pytest.approx([order] * 3, abs=0.35)
+
+
+def test_the_scenario_chooses_the_integrator() -> None:
+    """In a run it moves the plant: each row follows from the one before by it."""
+    trace = simulate(paper("plant={integrator: semi_implicit_euler, substeps: 3}", duration=0.05))
+    rows = rows_of(trace)
+    for now, after in pairwise(rows):
+        tau = tuple(map(float.__add__, after["effort"], now["disturbance"]))
+        motion = (now["position"], now["velocity"])
+        for _ in range(3):
+            motion = semi_implicit_euler(ROBOT, DT / 3, *motion, tau)
+        assert motion == (after["position"], after["velocity"])
 
 
 # Any number of joints.
 
 
-@pytest.mark.parametrize("law", ["ftcm", "ftsmc", "smc", "nftsmc", "ctc"])
-def test_laws_and_loop_fit_another_robot(registered: None, law: str) -> None:
-    """A pendulum, one joint: every law of scalars tracks with it; what is made for three joints says so."""
+@pytest.mark.parametrize("robot", [name for name, r in ROBOTS.items() if r.joints != 3])
+@pytest.mark.parametrize("law", components("controller"))
+def test_laws_and_loop_fit_another_robot(law: str, robot: str) -> None:
+    """1, 2 and 6 joints: every law tracks with disturbed drives; what is made for three joints says so."""
+    n = ROBOTS[robot].joints
+    duration = 2.0 if n < 6 else 0.3
+    friction = {"type": "vo_kang_friction", "a": 1.5, "b": [1.2] * n}
+    with robots_known():
+        data = scenario_mapping(robot, controller=law, duration=duration)
+        trace = simulate(from_mapping({**data, "injection": {"disturbances": [friction]}}))
+        assert trace.status == "completed"
+        assert trace.position.shape == (round(duration * 1000) + 1, n)
+        late = np.abs(trace.error[int(0.75 * len(trace.error)) :]).max()
+        assert late < 0.05, late
+        for path, entry in (("disturbances", "vo_kang_friction"), ("faults", "vo_kang_fault")):
+            with pytest.raises(ScenarioError, match=rf"injection\.{path}\.0(\.a)?: .*3.*{n}"):
+                from_mapping({**data, "injection": {path: [entry]}})
+        with pytest.raises(ScenarioError, match=rf"controller\.kp: .*has 3 entries.*\({n}\)"):
+            from_mapping({**data, "controller": {"type": "pid"}})
 
-    @register("robot", "pendulum")
-    class Pendulum(Robot):
-        """Pendulum: a + 5 sin q = tau."""
 
-        joint_names: ClassVar[tuple[str, ...]] = ("swing",)
-
-        def mass_matrix(self, q: Vector) -> tuple[Vector, ...]:
-            return ((1.0,),)
-
-        def coriolis_matrix(self, q: Vector, v: Vector) -> tuple[Vector, ...]:
-            return ((0.0,),)
-
-        def velocity_torque(self, q: Vector, v: Vector) -> Vector:
-            return (0.0,)
-
-        def gravity(self, q: Vector) -> Vector:
-            return (5.0 * math.sin(q[0]),)
-
-        def inertia_torque(self, q: Vector, a: Vector) -> Vector:
-            return a
-
-        def inverse_dynamics(self, q: Vector, v: Vector, a: Vector) -> Vector:
-            return (a[0] + 5.0 * math.sin(q[0]),)
-
-        def forward_dynamics(self, q: Vector, v: Vector, tau: Vector) -> Vector:
-            return (tau[0] - 5.0 * math.sin(q[0]),)
-
-        def inertia_acceleration(self, q: Vector, tau: Vector) -> Vector:
-            return tau
-
-    data: dict[str, Any] = {"robot": "pendulum", "reference": "sine", "controller": law, "observer": "do"}
-    friction = {"type": "vo_kang_friction", "a": 1.5, "b": [1.2]}
-    trace = simulate(from_mapping({**data, "duration": 4, "injection": {"disturbances": [friction]}}))
-    assert trace.position.shape == (4001, 1)
-    assert np.abs(trace.error[3000:]).max() < 0.02
-    for path, entry in (("disturbances", "vo_kang_friction"), ("faults", "vo_kang_fault")):
-        with pytest.raises(ScenarioError, match=rf"injection\.{path}\.0(\.a)?: .*3.*1"):
-            from_mapping({**data, "injection": {path: [entry]}})
-    with pytest.raises(ScenarioError, match=r"controller\.kp: .*has 3 entries.*\(1\)"):
-        from_mapping({**data, "controller": "pid"})
+@pytest.mark.parametrize("robot", ROBOTS)
+@pytest.mark.parametrize("observer", components("observer"))
+def test_observers_and_loop_fit_another_robot(observer: str, robot: str) -> None:
+    """Each with a law that needs none: finite estimates, one per joint, from zero on."""
+    with robots_known():
+        trace = simulate(from_mapping(scenario_mapping(robot, controller="smc", observer=observer)))
+    assert trace.status == "completed"
+    assert trace.disturbance_estimate.shape == trace.position.shape
+    assert np.isfinite(trace.disturbance_estimate).all()
+    assert not trace.disturbance_estimate[0].any()
 
 
 def test_component_without_estimate_in_its_signature_is_typed() -> None:

@@ -10,9 +10,12 @@ import pytest
 
 from ftcm_core.controllers.ctc import CTC
 from ftcm_core.controllers.smc import SMC
+from ftcm_core.recording.trace import Change, Trace
 from ftcm_core.scenario import load
+from ftcm_core.signals import COLUMNS
 from ftcm_core.simulation import simulate
-from ftcm_core.trace import COLUMNS, Change, Trace
+from robot_matrices import mass_matrix
+from traces import same
 
 CHANGES = (Change(10, "controller", CTC()), Change(20, "controller", SMC(c=[1, 2, 3])))
 
@@ -24,11 +27,33 @@ def trace() -> Trace:
 
 
 def test_columns_are_fields_with_units(trace: Trace) -> None:
-    """Every column is a field of the trace and has an SI unit."""
+    """Every column is a field of the trace and has an SI unit; a trace has those that its scenario says."""
     fields = {f.name for f in dataclasses.fields(Trace)}
     assert set(COLUMNS) < fields
-    assert set(COLUMNS.values()) == {"rad", "rad/s", "N·m"}
-    assert {getattr(trace, name).shape for name in COLUMNS} == {(30, 3)}
+    assert {column.unit for column in COLUMNS.values()} == {"rad", "rad/s", "N·m", "-"}
+    assert all(column.meaning for column in COLUMNS.values())
+    assert trace.scenario is not None
+    assert list(trace.columns) == list(trace.scenario.columns)
+    assert {column.shape for column in trace.columns.values()} == {(30, 3)}
+    assert all(getattr(trace, name) is None for name in set(COLUMNS) - set(trace.columns))
+    bare = dataclasses.replace(trace, residual=trace.effort)
+    assert [*bare.columns] == [*trace.columns, "residual"]
+
+
+def test_two_runs_are_the_same_if_every_column_is(trace: Trace) -> None:
+    """What the other tests compare with: a bit, a tick, a stamp or a column more is another run."""
+    assert same(trace, dataclasses.replace(trace))
+    assert not same(trace, dataclasses.replace(trace, joint_torque=trace.effort))
+    assert not same(trace, dataclasses.replace(trace, time_ns=trace.time_ns + 1))
+    for name, column in trace.columns.items():
+        other = column.copy()
+        other[29, 2] = np.nextafter(other[29, 2], np.inf)
+        changed = dataclasses.replace(trace, **{name: other})
+        assert not same(trace, changed)
+        assert same(trace, changed, slice(29))
+        assert not same(trace, dataclasses.replace(trace, **{name: column[:-1]}))
+    zeros = np.zeros_like(trace.alarm) if trace.alarm is not None else np.zeros((30, 3))
+    assert not same(dataclasses.replace(trace, alarm=zeros), dataclasses.replace(trace, alarm=-zeros))
 
 
 def test_errors_are_measured_minus_desired(trace: Trace) -> None:
@@ -41,8 +66,8 @@ def test_errors_are_measured_minus_desired(trace: Trace) -> None:
 
 def test_lumped_uncertainty_is_eq_6(trace: Trace) -> None:
     """Δ = -M⁻¹ d, Δ̂ = M⁻¹ tau_hat; the estimate is of the same sign."""
-    assert trace.robot is not None
-    m = np.array(trace.robot.mass_matrix(tuple(trace.position[7])))
+    assert trace.model is not None
+    m = mass_matrix(trace.model, tuple(trace.position[7].tolist()))
     assert m @ trace.lumped_uncertainty[7] == pytest.approx(-trace.disturbance[7], abs=1e-14)
     assert m @ trace.lumped_uncertainty_estimate[7] == pytest.approx(trace.disturbance_estimate[7], abs=1e-14)
 
@@ -66,7 +91,7 @@ def test_controllers_in_force(trace: Trace, order: int) -> None:
 
 def test_controllers_of_part_of_a_run(trace: Trace) -> None:
     """Rows count from the first tick there is; changes before it are in force from the start."""
-    part = {name: getattr(trace, name)[15:] for name in [*COLUMNS, "time_ns"]}
+    part = {name: getattr(trace, name)[15:] for name in [*trace.columns, "time_ns"]}
     tail = dataclasses.replace(trace, **part)
     assert [(a, b, law.type_name) for a, b, law in tail.controllers()] == [(0, 5, "ctc"), (5, 15, "smc")]
     assert np.array_equal(tail.sliding_variable, trace.sliding_variable[15:], equal_nan=True)
@@ -83,7 +108,7 @@ def test_two_changes_at_one_tick(trace: Trace) -> None:
 def test_trace_without_a_scenario(trace: Trace) -> None:
     """Neither robot nor law: what needs them is NaN."""
     bare = dataclasses.replace(trace, scenario=None, changes=())
-    assert bare.robot is None
+    assert bare.model is None
     assert bare.controllers() == []
     for column in (bare.sliding_variable, bare.lumped_uncertainty, bare.lumped_uncertainty_estimate):
         assert column.shape == (30, 3)

@@ -14,8 +14,8 @@ import rclpy
 from rcl_interfaces.srv import SetParameters
 from rclpy.parameter import Parameter
 
+from ftcm_core.recording.trace import COLUMNS
 from ftcm_core.simulation import simulate
-from ftcm_core.trace import COLUMNS
 from ftcm_ros.bags.reader import read_bag
 
 

@@ -134,7 +134,7 @@ class Project:
 
     def close(self) -> None:
         """Remove containers and network, whatever state they are in."""
-        for service in NODES:
+        for service in (*NODES, "detector"):
             docker("unpause", self.container(service), check=False)
         self.compose("down", "--timeout", "1")
 

@@ -11,7 +11,7 @@ from pathlib import Path
 
 import pytest
 
-EXECUTABLES = {"plant", "injector", "observer", "controller", "recorder", "experiment", "analyse"}
+EXECUTABLES = {"plant", "injector", "observer", "controller", "detector", "recorder", "experiment", "analyse"}
 
 
 def prefix_of(package):
@@ -77,6 +77,15 @@ def test_installed_core_tells_type_checkers_that_it_is_typed(tmp_path):
     prefix_of("ftcm_core")
     code = "import ftcm_core, json, os; print(json.dumps(os.listdir(os.path.dirname(ftcm_core.__file__))))"
     assert "py.typed" in run_installed(code, tmp_path)
+
+
+def test_tools_are_not_installed(root):
+    tools = {path.name for path in (root / "tools").glob("*.py")}
+    assert tools
+    for package in ("ftcm_core", "ftcm_ros"):
+        installed = {path.name for path in prefix_of(package).rglob("*") if "__pycache__" not in path.parts}
+        assert "setup.bash" in installed or "package.xml" in installed
+        assert not installed & {*tools, "tools"}, package
 
 
 @pytest.mark.ros

@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 import os
+import signal
 import subprocess
 import time
 from collections.abc import Callable, Iterator
@@ -14,12 +15,16 @@ import pytest
 
 try:
     import rclpy
+    from diagnostic_msgs.msg import DiagnosticArray
     from rcl_interfaces.msg import Parameter as ParameterMessage
     from rcl_interfaces.srv import DescribeParameters, GetParameters, ListParameters, SetParameters
     from rclpy.context import Context
     from rclpy.executors import SingleThreadedExecutor
     from rclpy.node import Node
     from rclpy.parameter import Parameter
+
+    from ftcm_ros.transport.plane import qos
+    from ftcm_ros.transport.topics import CHANGES
 except ImportError:  # the test modules skip themselves, with the reason
     rclpy = None
 
@@ -140,6 +145,85 @@ def watcher(domain: int) -> Iterator[Watcher]:
     made = Watcher(domain)
     yield made
     made.close()
+
+
+class Live:
+    """An experiment under way: what its nodes report, and which components come into force."""
+
+    def __init__(self, watcher: Watcher, process: subprocess.Popen[str]) -> None:
+        self.watcher, self.process = watcher, process
+        self.health: dict[str, dict[str, str]] = {}
+        self.announced: list[tuple[str, str]] = []
+        watcher.node.create_subscription(DiagnosticArray, "/diagnostics", self._on_diagnostics, 100)
+        watcher.node.create_subscription(DiagnosticArray, CHANGES.name, self._on_change, qos(CHANGES))
+
+    def _on_diagnostics(self, message: Any) -> None:
+        for status in message.status:
+            values = {v.key: v.value for v in status.values}
+            self.health[status.name.partition(":")[0]] = {"message": status.message, **values}
+
+    def _on_change(self, message: Any) -> None:
+        self.announced.extend((s.name, s.message) for s in message.status)
+
+    def until(self, condition: Callable[[], Any], what: str) -> Any:
+        """Spin until a condition holds; fail the test if the experiment ends before."""
+
+        def found() -> Any:
+            return condition() or self.process.poll() is not None
+
+        self.watcher.spin_until(found, what)
+        if not (answer := condition()):
+            pytest.fail(f"{what}: the experiment has ended; {self.process.communicate()}")
+        return answer
+
+    def first_tick(self, *components: tuple[str, str]) -> None:
+        """Wait for ticks, and for the components that give them: kind and name."""
+        self.until(
+            lambda: (
+                int(self.health.get("plant", {}).get("tick", 0)) and len(self.announced) >= len(components)
+            ),
+            "the first tick",
+        )
+        assert sorted(self.announced) == sorted(components)
+        self.announced.clear()
+
+    def change(self, kind: str, **values: Any) -> None:
+        """Set parameters of a node, and wait until the change is in force.
+
+        One that another follows before the next tick never is.
+        """
+        for name, value in values.items():
+            assert self.watcher.set(kind, **{name: value}) == [(True, "")]
+            self.until(lambda: self.announced, f"{name} of the {kind} in force")
+            assert {k for k, _ in self.announced} == {kind}
+            self.announced.clear()
+
+    def interrupt(self) -> None:
+        """Stop it as a user does."""
+        self.process.send_signal(signal.SIGINT)
+        _, err = self.process.communicate(timeout=HANG_SECONDS)
+        assert self.process.returncode == 130, err
+
+    def end(self) -> str:
+        """Wait until it has ended well; return what it has told the user."""
+        _, err = self.process.communicate(timeout=HANG_SECONDS)
+        assert self.process.returncode == 0, err
+        return err
+
+
+@pytest.fixture
+def live(domain: int, watcher: Watcher, start: Callable[..., subprocess.Popen[str]]) -> Callable[..., Live]:
+    """Begin experiments in the watcher's domain."""
+
+    def begin(*arguments: str) -> Live:
+        return Live(
+            watcher,
+            start(
+                "experiment", *arguments, "--name", "test", "--no-figures", "--domain-id", str(domain)
+            ),
+        )  # fmt: skip
+
+    return begin
 
 
 @pytest.fixture

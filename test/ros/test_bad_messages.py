@@ -45,6 +45,7 @@ GOOD = (
     CODEC.state.encode(5, (1.0, 2.0, 3.0), (4.0, 5.0, 6.0), (7.0, 8.0, 9.0)),
     CODEC.motion.encode(5, (1.0, 2.0, 3.0), (4.0, 5.0, 6.0)),
     CODEC.torque.encode(5, (1.0, 2.0, 3.0)),
+    CODEC.detection.encode(5, (1.0, 0.0, 1.0), (4.0, 5.0, 6.0)),
 )
 SIZE_FIELDS = (12, 20, 24, 36, 48, 60)
 """Where a message has the lengths of its texts and the number of names and of the first array."""
@@ -192,17 +193,22 @@ def test_a_message_too_short_for_a_stamp(size: int) -> None:
 # ---- parameters ----
 
 
+OTHERS = {"controller": "pid.kp", "observer": "do.k2", "detector": "residual_threshold.hold"}
+"""Kinds whose parameters are those of nodes, and a parameter of each."""
+
+
 class Holder:
-    """A node with the parameters of every controller and observer, in this process; nothing is sent."""
+    """Nodes with the parameters of every component that has some, in this process; nothing is sent."""
 
     def __init__(self) -> None:
         self.context = Context()
         rclpy.init(context=self.context, domain_id=231)
         self.changes: list[Any] = []
         self.nodes: dict[str, Node] = {}
-        for kind in ("controller", "observer"):
+        scenario = load("paper", ["detector=residual_threshold"])
+        for kind in OTHERS:
             self.nodes[kind] = node = Node(kind, context=self.context)
-            ComponentParameters(node, kind, getattr(load("paper"), kind), 3, self.changes.append)
+            ComponentParameters(node, kind, getattr(scenario, kind), 3, self.changes.append)
 
     def close(self) -> None:
         for node in self.nodes.values():
@@ -231,10 +237,10 @@ any_value = st.one_of(
 )
 PLACES: list[tuple[str, str, ParamSpec | None]] = [
     (kind, f"{name}.{spec.name}", spec)
-    for kind in ("controller", "observer")
+    for kind in OTHERS
     for name, cls in components(kind).items()
     for spec in specs(cls).values()
-] + [("controller", "controller", None), ("observer", "observer", None)]
+] + [(kind, kind, None) for kind in OTHERS]
 
 
 def fits(kind: str, name: str, value: Any) -> bool:
@@ -257,7 +263,7 @@ def test_parameters_that_do_not_fit(holder: Holder) -> None:
         kind, name, _ = place
         if fits(kind, name, value):
             return NOT_BAD
-        node, other = holder.nodes[kind], "pid.kp" if kind == "controller" else "do.k2"
+        node, other = holder.nodes[kind], OTHERS[kind]
         before, kept = node.get_parameter(name), node.get_parameter(other)
         results = [
             node.set_parameters_atomically(

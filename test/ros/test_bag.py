@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 import contextlib
+import dataclasses
 import resource
 import shutil
 import subprocess
@@ -22,15 +23,17 @@ from rosbags.rosbag2 import Writer
 from rosbags.typesys import Stores, get_typestore
 
 from ftcm_core.errors import FtcmError
-from ftcm_core.metrics import result
+from ftcm_core.recording.metrics import result
+from ftcm_core.recording.trace import Trace
 from ftcm_core.scenario import Scenario, load
+from ftcm_core.signals import COLUMNS
 from ftcm_core.simulation import simulate
-from ftcm_core.trace import COLUMNS, Trace
 from ftcm_ros.bags.reader import read_bag
 from ftcm_ros.bags.writer import STORAGE, Recording
 from ftcm_ros.transport.codec import JointStateCodec
-from ftcm_ros.transport.topics import DISTURBANCE, ESTIMATE, JOINT_STATES, REFERENCE, TORQUES
+from ftcm_ros.transport.topics import ESTIMATE, TORQUES, TRUE_STATE, data_topics
 from programs import program
+from traces import same
 
 TYPESTORE = get_typestore(Stores.ROS2_JAZZY)
 
@@ -42,20 +45,16 @@ def trace() -> Trace:
 
 
 def messages(trace: Trace, k: int) -> list[tuple[Any, bytes]]:
-    """The five data messages of a tick."""
+    """The data messages of a tick."""
+    assert trace.scenario is not None
     codec = JointStateCodec(trace.joint_names)
-    t = int(trace.time_ns[k])
-
-    def row(column: str) -> tuple[float, ...]:
-        return tuple(getattr(trace, column)[k].tolist())
-
-    return [
-        (JOINT_STATES, codec.state.encode(t, row("position"), row("velocity"), row("effort"))),
-        (ESTIMATE, codec.torque.encode(t, row("disturbance_estimate"))),
-        (TORQUES, codec.torque.encode(t, row("command"))),
-        (DISTURBANCE, codec.torque.encode(t, row("disturbance"))),
-        (REFERENCE, codec.motion.encode(t, row("reference_position"), row("reference_velocity"))),
-    ]
+    found = []
+    for topic, channel in zip(data_topics(trace.scenario), trace.scenario.channels):
+        rows = [tuple(trace.columns[name][k].tolist()) for name in channel.columns if name]
+        filled = tuple(map(bool, channel.columns))
+        (layout,) = (x for x in codec.layouts if tuple(s.stop > s.start for s in x.slices) == filled)
+        found.append((topic, layout.encode(int(trace.time_ns[k]), *rows)))
+    return found
 
 
 def write(
@@ -81,9 +80,49 @@ def test_a_bag_reads_back_float_for_float(trace: Trace, tmp_path: Path, storage:
     assert bag.trace.scenario == trace.scenario
     assert bag.trace.status == "completed"
     assert bag.missing == {}
-    for column in COLUMNS:
-        assert np.array_equal(getattr(bag.trace, column), getattr(trace, column)), column
+    assert same(bag.trace, trace)
     assert result(bag.trace) == result(trace)
+
+
+@pytest.mark.parametrize("storage", STORAGE)
+def test_every_column_there_is_reads_back_float_for_float(tmp_path: Path, storage: str) -> None:
+    overrides = ["sensor={type: encoder, noise: 1e-4}", "detector=residual_threshold", "duration=0.2"]
+    trace = simulate(load("paper", [*overrides, "injection.faults.0.start=0.1"]))
+    assert list(trace.columns) == list(COLUMNS)
+    write(tmp_path / "bag", trace, storage, leave_out={("detection", 7), ("true_state", 9)})
+    bag = read_bag(tmp_path / "bag")
+    assert bag.missing == {"detection": 1, "true_state": 1}
+    lost = {"residual": 7, "alarm": 7, "position": 9, "velocity": 9, "joint_torque": 9}
+    for name, column in trace.columns.items():
+        expected = column.copy()
+        if name in lost:
+            expected[lost[name]] = np.nan
+        assert np.array_equal(bag.trace.columns[name], expected, equal_nan=True), name
+
+
+def test_where_another_torque_acted_than_is_recorded_the_bag_says_which(trace: Trace, tmp_path: Path) -> None:
+    """The plant shows the true state after such ticks only; elsewhere it was what is recorded."""
+    assert trace.joint_torque is None
+    assert trace.scenario is not None
+    codec = JointStateCodec(trace.joint_names)
+    acted = {5: (1.0, -2.0, 3.5), 100: (0.0, 7.0, 0.25)}
+    recording = Recording(tmp_path / "bag", "mcap", trace.scenario)
+    for k in range(trace.ticks):
+        for topic, data in messages(trace, k):
+            recording.write(topic, 10**18 + k * 10**6, data)
+        if k in acted:
+            q, v = (tuple(a[k].tolist()) for a in (trace.position, trace.velocity))
+            recording.write(TRUE_STATE, 10**18 + k * 10**6, codec.state.encode(k * 1_000_000, q, v, acted[k]))
+    recording.close()
+    bag = read_bag(tmp_path / "bag")
+    assert bag.missing == {}
+    expected = trace.effort.copy()
+    expected[1:] += trace.disturbance[:-1]
+    for k, torque in acted.items():
+        expected[k] = torque
+    assert bag.trace.joint_torque is not None
+    assert np.array_equal(bag.trace.joint_torque, expected)
+    assert same(dataclasses.replace(bag.trace, joint_torque=None), trace)
 
 
 def test_a_bag_names_the_ticks_it_lacks(trace: Trace, tmp_path: Path) -> None:
@@ -136,7 +175,7 @@ def test_of_several_runs_in_a_bag_the_last_is_analysed(trace: Trace, tmp_path: P
     bag = read_bag(tmp_path / "bag")
     assert bag.runs == 2
     assert bag.missing == {}
-    assert all(np.array_equal(getattr(bag.trace, c), getattr(trace, c)) for c in COLUMNS)
+    assert same(bag.trace, trace)
 
 
 def foreign_bag(path: Path, trace: Trace, topics: set[str], prefix: str = "") -> None:
@@ -258,7 +297,7 @@ def contents(folder: Path) -> dict[str, bytes]:
 
 
 def is_prefix(part: Trace, whole: Trace) -> bool:
-    return all(np.array_equal(getattr(part, c), getattr(whole, c)[: part.ticks]) for c in COLUMNS)
+    return same(part, whole, slice(part.ticks))
 
 
 @pytest.mark.parametrize("storage", STORAGE)
@@ -362,7 +401,7 @@ def test_analyse_says_what_it_recovered_and_repairs(trace: Trace, tmp_path: Path
     again = read_bag(tmp_path / "repaired")
     assert (tmp_path / "repaired" / "metadata.yaml").exists()
     assert again.recovered in warning
-    assert all(np.array_equal(getattr(again.trace, c), getattr(read_bag(path).trace, c)) for c in COLUMNS)
+    assert same(again.trace, read_bag(path).trace)
     assert again.trace.scenario == trace.scenario
 
 

@@ -19,11 +19,17 @@ from ftcm_ros.transport.codec import CodecError, JointStateCodec, stamp_of
 
 NAMES = ("joint1", "joint2", "joint3")
 CODEC = JointStateCodec(NAMES)
-LAYOUTS = {"state": CODEC.state, "motion": CODEC.motion, "torque": CODEC.torque}
+LAYOUTS = {
+    "state": CODEC.state,
+    "motion": CODEC.motion,
+    "torque": CODEC.torque,
+    "detection": CODEC.detection,
+}
 ARRAYS = {
     "state": ("position", "velocity", "effort"),
     "motion": ("position", "velocity"),
     "torque": ("effort",),
+    "detection": ("position", "effort"),
 }
 floats = st.floats(allow_nan=False)
 vectors = st.tuples(floats, floats, floats)

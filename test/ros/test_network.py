@@ -15,15 +15,13 @@ import pytest
 
 pytest.importorskip("rclpy", reason="ROS 2 (rclpy) is not installed")
 
-import numpy as np
-
 from ftcm_core.scenario import load
 from ftcm_core.simulation import simulate
-from ftcm_core.trace import COLUMNS
 from ftcm_ros.bags.reader import read_bag
 from ftcm_ros.nodes.parent import PARENT_VARIABLE
 from ftcm_ros.transport.network import PROFILES, SHOWN, set_defaults
 from programs import program
+from traces import same
 
 pytestmark = pytest.mark.ros
 
@@ -226,7 +224,7 @@ def test_a_run_over_two_machines_equals_the_in_process_run(
     assert bag.missing == {}
     again = simulate(scenario)
     assert bag.trace.ticks == again.ticks == 501
-    assert [c for c in COLUMNS if not np.array_equal(getattr(bag.trace, c), getattr(again, c))] == []
+    assert same(bag.trace, again)
 
 
 def test_what_the_user_has_set_stays(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -22,9 +22,9 @@ from ftcm_core.params import specs
 from ftcm_core.registry import components
 from ftcm_core.scenario import load
 from ftcm_core.signals import Measurement
-from ftcm_core.stages import ControllerStage
+from ftcm_core.simulation.stages import ControllerStage
 from ftcm_ros.bags.reader import read_bag
-from ftcm_ros.parameters.node_parameters import NODES, SETTINGS
+from ftcm_ros.parameters.node_parameters import ALL_NODES, SETTINGS
 from ftcm_ros.transport.plane import qos
 from ftcm_ros.transport.topics import ESTIMATE, JOINT_STATES, TORQUES
 from programs import program
@@ -62,6 +62,9 @@ def last_line(process: subprocess.Popen[str]) -> str:
         ("observer", {"data_path": "magic"}, "data_path: no 'magic'"),
         ("recorder", {"storage": "zip"}, "storage: no 'zip'"),
         ("recorder", {"bag": "/proc/bag"}, "'/proc/bag' cannot be made"),
+        ("detector", {}, "the scenario has no detector"),
+        ("observer", {"plugins": "nowhere.py"}, "plug-in 'nowhere.py': no such file"),
+        ("plant", {"plugins": "no_such_module"}, "plug-in 'no_such_module' cannot be loaded"),
     ],
 )
 def test_a_mistake_at_start_is_one_line(
@@ -70,11 +73,19 @@ def test_a_mistake_at_start_is_one_line(
     assert text in last_line(node(start, name, **parameters))
 
 
-@pytest.mark.parametrize("kind", ["controller", "observer"])
+@pytest.fixture
+def detected(tmp_path: Path) -> str:
+    """File of the paper's scenario with a detector, without which there is no such node."""
+    scenario = load("paper", ["detector=residual_threshold"])
+    (tmp_path / "detected.yaml").write_text(scenario.to_yaml(), encoding="utf-8")
+    return "detected.yaml"
+
+
+@pytest.mark.parametrize("kind", ["controller", "observer", "detector"])
 def test_every_component_parameter_is_a_described_ros_parameter(
-    start: Start, watcher: Any, kind: str
+    start: Start, watcher: Any, detected: str, kind: str
 ) -> None:
-    node(start, kind)
+    node(start, kind, scenario=detected)
     declared = [(name, spec) for name, cls in components(kind).items() for spec in specs(cls).values()]
     names = [f"{name}.{spec.name}" for name, spec in declared]
     assert {*names, kind, *(s.name for s in SETTINGS[kind])} <= set(watcher.list(kind))
@@ -108,9 +119,11 @@ def test_bad_values_are_refused_whole_and_numbers_are_taken_as_meant(start: Star
     assert list(watcher.get("controller", "ftcm.upsilon1")) == [16.0, 17.0, 18.0]
 
 
-@pytest.mark.parametrize("name", NODES)
-def test_a_node_alone_is_active_and_stops_cleanly(start: Start, watcher: Any, name: str) -> None:
-    process = node(start, name)
+@pytest.mark.parametrize("name", ALL_NODES)
+def test_a_node_alone_is_active_and_stops_cleanly(
+    start: Start, watcher: Any, detected: str, name: str
+) -> None:
+    process = node(start, name, scenario=detected)
     watcher.spin_until(
         lambda: (
             watcher.call(GetState, f"/{name}/get_state", GetState.Request()).current_state.id
@@ -187,7 +200,7 @@ def test_a_node_that_was_kept_waiting_answers_every_tick(start: Start, watcher: 
 
     watcher.node.create_subscription(JointState, TORQUES.name, on_torque, qos(TORQUES))
     scenario = load("paper")
-    stage = ControllerStage(scenario.controller, scenario.reference, scenario.robot, scenario.dt)
+    stage = ControllerStage(scenario)
     zero = (0.0,) * 3
     expected: dict[int, list[float]] = {}
     state = JointState(name=list(scenario.robot.joint_names), velocity=zero, effort=zero)
@@ -234,7 +247,7 @@ def test_a_late_estimate_that_nobody_waits_for_does_not_begin_a_new_run(start: S
         "the controller",
     )
     scenario = load("paper", controller="pid")
-    stage = ControllerStage(scenario.controller, scenario.reference, scenario.robot, scenario.dt)
+    stage = ControllerStage(scenario)
     message = JointState(name=list(scenario.robot.joint_names), velocity=[0.0] * 3, effort=[0.0] * 3)
     expected: dict[int, list[float]] = {}
     for tick in range(20):

@@ -8,15 +8,14 @@ import subprocess
 from collections.abc import Callable
 from pathlib import Path
 
-import numpy as np
 import pytest
 
 pytest.importorskip("rclpy", reason="ROS 2 (rclpy) is not installed")
 
 from ftcm_core.scenario import load
 from ftcm_core.simulation import simulate
-from ftcm_core.trace import COLUMNS
 from ftcm_ros.bags.reader import read_bag
+from traces import same
 
 pytestmark = pytest.mark.ros
 
@@ -49,4 +48,4 @@ def test_experiments_in_parallel_domains_do_not_touch_each_other(
         again = simulate(load("paper", chosen, controller="ftcm"))
         assert bag.missing == {}
         assert bag.trace.ticks == again.ticks == 801
-        assert [c for c in COLUMNS if not np.array_equal(getattr(bag.trace, c), getattr(again, c))] == []
+        assert same(bag.trace, again)

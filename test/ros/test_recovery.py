@@ -12,7 +12,6 @@ from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
-import numpy as np
 import pytest
 
 pytest.importorskip("rclpy", reason="ROS 2 (rclpy) is not installed")
@@ -22,10 +21,10 @@ from sensor_msgs.msg import JointState
 
 from ftcm_core.scenario import load
 from ftcm_core.simulation import simulate
-from ftcm_core.trace import COLUMNS
 from ftcm_ros.bags.reader import BagContents, read_bag
 from node_processes import node_pids
 from programs import program
+from traces import same
 
 pytestmark = pytest.mark.ros
 
@@ -40,7 +39,7 @@ def equals_the_in_process_run(bag: BagContents) -> bool:
     again = simulate(load("paper", [f"duration={trace.time_ns[-1] / 1e9}"], controller="ftcm"))
     assert bag.missing == {}
     assert trace.ticks == again.ticks
-    return all(np.array_equal(getattr(trace, c), getattr(again, c)) for c in COLUMNS)
+    return same(trace, again)
 
 
 @pytest.mark.parametrize(

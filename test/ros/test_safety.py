@@ -20,13 +20,13 @@ from hypothesis import strategies as st
 
 from ftcm_core.scenario import load
 from ftcm_core.simulation import simulate
-from ftcm_core.trace import COLUMNS
 from ftcm_ros.bags.reader import read_bag
 from ftcm_ros.bags.writer import Recording
 from ftcm_ros.timing.clocks import ClockWatch
 from ftcm_ros.transport.codec import JointStateCodec
 from ftcm_ros.transport.publisher_identity import SILENCE_NS, PublisherIdentity
 from ftcm_ros.transport.topics import data_topics
+from traces import same
 
 Start = Callable[..., "subprocess.Popen[str]"]
 SOURCES = Path(__file__).resolve().parents[2] / "src" / "ftcm_ros" / "ftcm_ros"
@@ -154,7 +154,7 @@ def test_a_bag_is_whole_when_the_system_time_is_set_while_it_is_written(
     recording.close()
     bag = read_bag(tmp_path / "bag")
     assert (bag.missing, bag.runs, bag.trace.status) == ({}, 1, "completed")
-    assert all(np.array_equal(getattr(bag.trace, c), getattr(trace, c)) for c in COLUMNS)
+    assert same(bag.trace, trace)
     hops = bag.published["disturbance"] - bag.published["joint_states"]
     assert (np.delete(hops, [99, 100]) == 300_000).all(), "latencies are known on both sides of the jump"
 
@@ -352,7 +352,7 @@ def test_strangers_neither_answer_nor_reset_and_are_named(
     again = simulate(load("paper", overrides))
     assert (bag.missing, bag.runs, bag.trace.status) == ({}, 1, "completed")
     assert sent >= most
-    assert [c for c in COLUMNS if not np.array_equal(getattr(bag.trace, c), getattr(again, c))] == []
+    assert same(bag.trace, again)
     for name in ("plant", "observer", "controller", "injector"):
         assert int(bag.nodes[name]["refused_other_publisher"]) > 0
         assert re.search(r"has 2 publishers: \w+, stranger", bag.nodes[name]["message"]), bag.nodes[name]
@@ -368,7 +368,7 @@ def test_limits_over_the_graph_equal_those_in_process(experiment: Callable[..., 
     again = simulate(load("paper", overrides))
     assert again.status == "limit_exceeded"
     assert (bag.trace.status, bag.trace.detail) == (again.status, again.detail)
-    assert [c for c in COLUMNS if not np.array_equal(getattr(bag.trace, c), getattr(again, c))] == []
+    assert same(bag.trace, again)
     assert int(bag.nodes["controller"]["beyond_limits"]) > 10
     assert "beyond the limits, last: t = 0." in bag.nodes["controller"]["message"]
 

@@ -16,15 +16,13 @@ import pytest
 
 pytest.importorskip("rclpy", reason="ROS 2 (rclpy) is not installed")
 
-import numpy as np
-
 from ftcm_core.scenario import load
 from ftcm_core.simulation import simulate
-from ftcm_core.trace import COLUMNS
 from ftcm_ros.bags.reader import read_bag
-from ftcm_ros.parameters.node_parameters import NODES
+from ftcm_ros.parameters.node_parameters import ALL_NODES
 from programs import program
 from sros_policy import rules
+from traces import same
 
 pytestmark = pytest.mark.ros
 
@@ -46,10 +44,10 @@ def test_the_policy_is_up_to_date() -> None:
 def test_the_policy_allows_what_the_nodes_have_and_no_more(
     start: Start, watcher: Any, tmp_path: Path
 ) -> None:
-    scenario = load("paper", ["sensor={type: encoder}"])
-    (tmp_path / "encoder.yaml").write_text(scenario.to_yaml(), encoding="utf-8")
-    for name in NODES:
-        start(f"nodes.{name}", "--ros-args", "-p", "scenario:=encoder.yaml")
+    scenario = load("paper", ["sensor={type: encoder}", "detector=residual_threshold"])
+    (tmp_path / "every.yaml").write_text(scenario.to_yaml(), encoding="utf-8")
+    for name in ALL_NODES:
+        start(f"nodes.{name}", "--ros-args", "-p", "scenario:=every.yaml")
 
     def has(name: str) -> dict[tuple[str, str], list[str]]:
         asked = {
@@ -60,13 +58,13 @@ def test_the_policy_allows_what_the_nodes_have_and_no_more(
         }
         return {what: sorted(found for found, _ in ask(name, "/")) for what, ask in asked.items()}
 
-    expected = {name: rules(name) for name in NODES}
+    expected = {name: rules(name) for name in ALL_NODES}
     expected["injector"]["topics", "subscribe"].remove(ONLY_WITH_AN_IDEAL_SENSOR)
     end = time.monotonic() + WAIT_SECONDS
     while time.monotonic() < end:
         watcher.executor.spin_once(timeout_sec=0.05)
-        present = set(NODES) <= set(watcher.node.get_node_names())
-        if present and (found := {name: has(name) for name in NODES}) == expected:
+        present = set(ALL_NODES) <= set(watcher.node.get_node_names())
+        if present and (found := {name: has(name) for name in ALL_NODES}) == expected:
             return
     assert present
     assert found == expected
@@ -124,7 +122,7 @@ def test_a_secured_run_equals_the_in_process_run(
     bag = read_bag(tmp_path / "runs" / "test" / "bags" / "ftcm")
     assert bag.missing == {}
     again = simulate(load("paper", ["duration=0.5"], controller="ftcm"))
-    assert [c for c in COLUMNS if not np.array_equal(getattr(bag.trace, c), getattr(again, c))] == []
+    assert same(bag.trace, again)
 
 
 INTRUDER = """

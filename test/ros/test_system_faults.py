@@ -51,7 +51,7 @@ if node and "--params-file" in words:
     run = Path(words[words.index("--params-file") + 1]).parent.name
     victim, fault, tick = json.loads(os.environ["FAULTS"]).get(run, ("", "", 0))
     if victim == node:
-        from ftcm_core import stages
+        from ftcm_core.simulation import stages
         from ftcm_ros.bags import writer
 
         owner, name = {
@@ -59,6 +59,7 @@ if node and "--params-file" in words:
             "observer": (stages.ObserverStage, "step"),
             "controller": (stages.ControllerStage, "step"),
             "injector": (stages.InjectorStage, "step"),
+            "detector": (stages.DetectorStage, "step"),
             "recorder": (writer.TopicCount, "add"),
         }[node]
         original, calls = getattr(owner, name), 0
@@ -127,6 +128,7 @@ ROUNDS = {
     "2 real_time": "observer:exception controller:SIGKILL injector:SIGSTOP "
     "recorder:exception plant:exception observer:SIGKILL",
     "3 real_time": "controller:SIGSTOP controller:hang",
+    "detector lockstep": "detector:SIGKILL detector:exception detector:SIGSTOP detector:hang",
 }
 """Experiments: a fault in the run of each controller; together each node and fault in both modes."""
 
@@ -145,7 +147,9 @@ def test_a_fault_ends_its_run_only(
     mode = name.split()[1]
     faults = [Fault(law, *pair.split(":")) for law, pair in zip(LAWS, ROUNDS[name].split())]
     without = LAWS[len(faults) : len(faults) + 1] if name == "quick lockstep" else ()
-    duration = f"duration={DURATION[mode]}"
+    overrides = [f"duration={DURATION[mode]}"]
+    if "detector" in ROUNDS[name]:
+        overrides.append("detector=residual_threshold")
     seed = random.randrange(10**6)
     print(f"seed {seed}")
     draw = random.Random(seed)
@@ -158,7 +162,7 @@ def test_a_fault_ends_its_run_only(
     )
     process = start(
         "experiment", "paper", "--mode", mode, "--patience", str(PATIENCE), "--name", "test", "--no-figures",
-        "--domain-id", str(domain), "--set", duration,
+        "--domain-id", str(domain), *(a for o in overrides for a in ("--set", o)),
         "--controllers", *(f.controller for f in faults), *without,
     )  # fmt: skip
     _, err = process.communicate(timeout=CEILING * len(faults))
@@ -180,7 +184,7 @@ def test_a_fault_ends_its_run_only(
             continue
         if mode == "lockstep":
             assert bag.trace.ticks >= tick
-            expected = simulate(load("paper", [duration], controller=fault.controller))
+            expected = simulate(load("paper", overrides, controller=fault.controller))
             assert np.array_equal(bag.trace.position, expected.position[: bag.trace.ticks])
             assert np.array_equal(bag.trace.command[:tick], expected.command[:tick])
         else:
@@ -190,7 +194,7 @@ def test_a_fault_ends_its_run_only(
     for law in without:
         bag = read_bag(folder / "bags" / law)
         assert bag.missing == {}
-        again = simulate(load("paper", [duration], controller=law))
+        again = simulate(load("paper", overrides, controller=law))
         assert np.array_equal(bag.trace.position, again.position)
     assert alive_in(tmp_path) == []
     assert shared_memory() == []

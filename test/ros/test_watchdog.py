@@ -5,22 +5,24 @@ from __future__ import annotations
 
 import pytest
 
-from ftcm_ros.parameters.node_parameters import NODES
+from ftcm_ros.parameters.node_parameters import ALL_NODES, NODES
 from ftcm_ros.run.watchdog import Watchdog
 
 PATIENCE = 3.0
 
 
-def culprit_after(lockstep: bool, last: dict[str, int | None], held_up: bool = False) -> tuple[str, str]:
+def culprit_after(
+    lockstep: bool, last: dict[str, int | None], held_up: bool = False, nodes: tuple[str, ...] = NODES
+) -> tuple[str, str]:
     """Whom a watchdog blames first when each node reports once a second, its ticks ending at ``last``.
 
     A node without an entry goes on for ever; with None it is silent from t = 2 s on.
     """
     now = 0.0
-    watchdog = Watchdog(lockstep, PATIENCE, lambda: now)
+    watchdog = Watchdog(lockstep, PATIENCE, lambda: now, nodes)
     for step in range(100):
         now = 0.1 * step + (60.0 if held_up and step > 30 else 0.0)
-        for phase, node in enumerate(reversed(NODES)):
+        for phase, node in enumerate(reversed(nodes)):
             if step % 10 == phase:
                 end = last.get(node, 10**9)
                 if end is not None or step < 20:
@@ -69,6 +71,17 @@ def test_in_lockstep_it_is_the_one_the_plant_waits_for(last: dict[str, int | Non
 )
 def test_in_real_time_it_is_the_first_in_the_tick(last: dict[str, int | None], expected: str) -> None:
     assert culprit_after(False, last) == (expected, "has made no tick for 3 s")
+
+
+@pytest.mark.parametrize("lockstep", [True, False])
+def test_a_detector_is_watched_where_there_is_one(lockstep: bool) -> None:
+    """In lockstep its missing ticks keep the recorder waiting, and that the plant: it is first to blame."""
+    last: dict[str, int | None] = {"detector": 700, "recorder": 700}
+    if lockstep:
+        last |= {"plant": 1700, "observer": 1701, "controller": 1701, "injector": 1701}
+    assert culprit_after(lockstep, last, nodes=ALL_NODES) == ("detector", "has made no tick for 3 s")
+    silent: dict[str, int | None] = {"detector": None}
+    assert culprit_after(lockstep, silent, nodes=ALL_NODES) == ("detector", "has said nothing for 3 s")
 
 
 def test_of_two_silent_nodes_the_one_whose_process_is_stopped_is_named() -> None:

@@ -38,8 +38,15 @@ class ParameterError(FtcmError):
     """A parameter value outside its declaration."""
 
 
+class Unsuited(ParameterError):
+    """A component that is valid in itself but does not fit the rest of the scenario."""
+
+
 class ScenarioError(FtcmError):
     """A scenario file or override that is not a valid scenario."""
+
+    unsuited = False
+    """Whether a component is valid in itself but does not fit the rest: see :class:`Unsuited`."""
 
 
 def suggestion(name: str, known: Iterable[str]) -> str:

@@ -1,12 +1,13 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What drives and joints allow: torque and its rate are bounded, motion beyond a limit ends the run."""
+"""What drives and joints allow. Motion beyond a limit ends the run."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from typing import NamedTuple
 
-from ftcm_core.signals import Vector, saturate
+from ftcm_core.numeric import holds
+from ftcm_core.signals import Vector
 
 
 class Limits(NamedTuple):
@@ -22,23 +23,6 @@ class Limits(NamedTuple):
     """Smallest position, rad."""
     upper: Vector | None = None
     """Largest position, rad."""
-
-
-def drive_torque(limits: Limits, previous: Vector, wanted: Vector) -> Vector:
-    """Torque that the drives apply.
-
-    Args:
-        limits: of the robot.
-        previous: torque applied in the tick before, N·m.
-        wanted: torque asked for, N·m.
-
-    Returns:
-        The torque wanted, saturated, and then approached by no more than the largest step, N·m.
-    """
-    torque = saturate(wanted, limits.torque)
-    if limits.torque_step is None:
-        return torque
-    return tuple([max(p - s, min(p + s, u)) for p, u, s in zip(previous, torque, limits.torque_step)])
 
 
 def command_beyond(limits: Limits, names: Sequence[str], previous: Vector, u: Vector) -> str:
@@ -72,14 +56,14 @@ def motion_beyond(limits: Limits, names: Sequence[str], position: Vector, veloci
     """
     if limits.velocity is not None:
         for name, x, most in zip(names, velocity, limits.velocity):
-            if abs(x) > most:
+            if not holds(abs(x) <= most):
                 return f"{name}: velocity {x:g} rad/s is beyond its limit of {most:g} rad/s"
     if limits.lower is not None:
         for name, x, least in zip(names, position, limits.lower):
-            if x < least:
+            if not holds(x >= least):
                 return f"{name}: position {x:g} rad is below its limit of {least:g} rad"
     if limits.upper is not None:
         for name, x, most in zip(names, position, limits.upper):
-            if x > most:
+            if not holds(x <= most):
                 return f"{name}: position {x:g} rad is above its limit of {most:g} rad"
     return ""

@@ -30,3 +30,22 @@ def logistic(x: float) -> float:
         return 1.0 / (1.0 + math.exp(-x))
     z = math.exp(x)
     return z / (1.0 + z)
+
+
+def clamp(x: float, bound: float) -> float:
+    """Nearest number to x in [-bound, bound], for bound >= 0."""
+    return max(-bound, min(bound, x))
+
+
+def select(condition: float, yes: float, no: float) -> float:
+    """Return ``yes`` if the condition is not zero, else ``no``."""
+    return yes if condition != 0.0 else no
+
+
+def holds(condition: bool) -> bool:
+    """Return the condition.
+
+    A condition without which a run cannot go on is written so: a compiled tick checks it, and where it does
+    not hold the tick is left to plain Python, which says why.
+    """
+    return condition

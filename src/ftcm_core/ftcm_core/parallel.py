@@ -13,6 +13,8 @@ from concurrent.futures import Future, ProcessPoolExecutor
 from queue import SimpleQueue
 from typing import TypeVar
 
+from ftcm_core.registry import load_plugins, plugins
+
 T = TypeVar("T")
 R = TypeVar("R")
 
@@ -39,7 +41,10 @@ def run_parallel(
     try:
         with _children_ignore_interrupts():  # it starts a process of its own, which watches its semaphores
             pool = ProcessPoolExecutor(
-                workers, mp_context=multiprocessing.get_context("spawn"), initializer=_end_with_parent
+                workers,
+                mp_context=multiprocessing.get_context("spawn"),
+                initializer=_begin,
+                initargs=(plugins(),),
             )
             futures: dict[Future[R], int] = {
                 pool.submit(function, item): index for index, item in enumerate(items)
@@ -58,6 +63,12 @@ def run_parallel(
         if pool is not None:
             # Waiting, as Python's own end of a pool that is still ending now and then complains about that.
             pool.shutdown(cancel_futures=True)
+
+
+def _begin(sources: tuple[str, ...]) -> None:
+    """Make a worker ready: components of plug-ins must be known before work that has them arrives."""
+    _end_with_parent()
+    load_plugins(sources)
 
 
 def _end_with_parent() -> None:

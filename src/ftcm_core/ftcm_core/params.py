@@ -10,7 +10,7 @@ from __future__ import annotations
 import dataclasses
 import functools
 import math
-from collections.abc import Hashable
+from collections.abc import Collection, Hashable
 from typing import Any, cast
 
 from ftcm_core.errors import ParameterError, shown, suggestion
@@ -194,13 +194,19 @@ class Parameterised:
         """Parameter values by name, in declaration order."""
         return {name: getattr(self, name) for name in specs(type(self))}
 
-    def check_joints(self, joints: int) -> None:
+    def check_joints(self, joints: int, names: Collection[str] | None = None) -> None:
         """Check that every per-joint list has one entry per joint.
+
+        Args:
+            joints: number of joints of the robot.
+            names: parameters to look at; all by default.
 
         Raises:
             ParameterError: a list is of another length.
         """
         for name, value in self.values.items():
+            if names is not None and name not in names:
+                continue
             if isinstance(value, tuple) and len(value) != joints:
                 raise ParameterError(
                     f"{name}: {shown(list(value))} has {len(value)} entries; "
@@ -216,3 +222,13 @@ class Parameterised:
 def per_joint(value: float | tuple[float, ...], joints: int) -> tuple[float, ...]:
     """Expand a per-joint parameter to one number per joint."""
     return value if isinstance(value, tuple) else (value,) * joints
+
+
+def joint_parameters(component: Parameterised, joints: int) -> tuple[Any, ...]:
+    """Parameters of a component, reduced to each joint in turn; kept with the component, as it is frozen."""
+    kept: tuple[Any, ...] | None = component.__dict__.get("_joint_parameters")
+    if kept is None or len(kept) != joints:
+        component.check_joints(joints)
+        kept = tuple([component.for_joint(j) for j in range(joints)])
+        component.__dict__["_joint_parameters"] = kept
+    return kept

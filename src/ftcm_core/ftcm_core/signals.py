@@ -1,11 +1,12 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The signals that cross a tick, their units and sign conventions.
+"""The signals of a tick, declared once: name, unit, meaning, topic, who writes and who reads.
 
-Everything is SI and in joint space; a vector has one entry per joint.
+The row of a run, the trace, the bag, the recorder and the topics all follow from :data:`COLUMNS` and
+:data:`CHANNELS`. Everything is SI and in joint space; a vector has one entry per joint.
 
 - tracking error ``e = q - q_ref`` (rad), velocity error ``de = v - v_ref`` (rad/s);
-- torques are joint torques in N·m; ``disturbance`` is what is *added* to the plant's input torque
-  (faults minus friction and disturbance), so that ``M a + h + G = u + disturbance``;
+- torques are joint torques in N·m; ``disturbance`` is what is *added* to the torque of the drives
+  (faults minus friction and disturbance), so that ``M a + h + G = effort + disturbance``;
 - the lumped uncertainty of the paper, ``Delta = M^-1 (F_d - psi omega)`` (rad/s², eq 6), crosses
   as the torque ``tau_hat = M(q) Delta_hat`` (N·m): it estimates ``-disturbance``.
 """
@@ -29,7 +30,7 @@ class Measurement(NamedTuple):
     velocity: Vector
     """Joint velocities, rad/s."""
     effort: Vector
-    """Torque the drive applied over the tick that ended at t_k, after limits, N·m; zero at k = 0."""
+    """Torque of the drives over the tick that ended at t_k, after limits, N·m; zero at k = 0."""
 
 
 class ReferencePoint(NamedTuple):
@@ -48,6 +49,112 @@ class TrueDisturbance(NamedTuple):
 
     torque: Vector
     """Added joint torque, N·m."""
+
+
+class Detection(NamedTuple):
+    """What a detector says at tick k (``detection``)."""
+
+    residual: Vector
+    """Difference between what is measured and what a healthy robot would do, N·m."""
+    alarm: Vector
+    """1 for a joint with an alarm, else 0."""
+
+
+class Column(NamedTuple):
+    """One recorded signal: an array of shape (ticks, joints)."""
+
+    unit: str
+    meaning: str
+    when: str = ""
+    """Which runs have it: empty, all; else ``hidden`` or ``detector``, see :func:`recorded`."""
+
+
+COLUMNS: dict[str, Column] = {
+    "position": Column("rad", "true joint positions"),
+    "velocity": Column("rad/s", "true joint velocities"),
+    "effort": Column("N·m", "torque of the drives over the tick that ended at the stamp, after limits"),
+    "disturbance_estimate": Column("N·m", "the observer's estimate tau_hat = M(q) Δ̂"),
+    "command": Column("N·m", "the commanded torque u"),
+    "disturbance": Column("N·m", "torque added to that of the drives: faults minus friction and disturbance"),
+    "reference_position": Column("rad", "desired joint positions"),
+    "reference_velocity": Column("rad/s", "desired joint velocities"),
+    "measured_position": Column("rad", "joint positions that observer and controller are given", "hidden"),
+    "measured_velocity": Column("rad/s", "joint velocities that they are given", "hidden"),
+    "joint_torque": Column(
+        "N·m", "torque on the joints over the tick that ended: drives, their faults, disturbance", "hidden"
+    ),
+    "residual": Column("N·m", "the detector's residual", "detector"),
+    "alarm": Column("-", "1 for a joint with an alarm, else 0", "detector"),
+}
+"""Every recorded signal, in the order of a run's row."""
+
+
+def recorded(hidden: bool, detector: bool) -> tuple[str, ...]:
+    """Return the columns of a run, in the order of its row.
+
+    Args:
+        hidden: whether the true motion or torque is not what the drives report (a sensor that is not
+            exact, a fault of a sensor, an actuator or the communication).
+        detector: whether the run has a detector.
+    """
+    there = {"": True, "hidden": hidden, "detector": detector}
+    return tuple(name for name, column in COLUMNS.items() if there[column.when])
+
+
+class Channel(NamedTuple):
+    """One data topic: a ``sensor_msgs/JointState`` per tick, its arrays filled from columns."""
+
+    topic: str
+    writer: str
+    readers: tuple[str, ...]
+    position: str = ""
+    """Column in the array ``position``; empty: the array is not filled."""
+    velocity: str = ""
+    effort: str = ""
+    when: str = ""
+    """As of :class:`Column`."""
+
+    @property
+    def columns(self) -> tuple[str, str, str]:
+        """Columns in the arrays position, velocity and effort."""
+        return self.position, self.velocity, self.effort
+
+
+CHANNELS = (
+    Channel("joint_states", "plant", ("observer", "controller", "injector", "detector"),
+            "measured_position", "measured_velocity", "effort"),
+    Channel("disturbance_estimate", "observer", ("controller", "detector"), effort="disturbance_estimate"),
+    Channel("joint_torques", "controller", ("plant", "injector", "detector"), effort="command"),
+    Channel("disturbance", "injector", ("plant",), effort="disturbance"),
+    Channel("reference", "controller", (), "reference_position", "reference_velocity"),
+    Channel("true_state", "plant", ("injector",), "position", "velocity", "joint_torque", when="hidden"),
+    Channel("detection", "detector", (), position="alarm", effort="residual", when="detector"),
+)  # fmt: skip
+"""Every data topic. The recorder reads all of them besides."""
+
+
+def channels(hidden: bool, detector: bool) -> tuple[Channel, ...]:
+    """Return the data topics of a run, with its readers.
+
+    Args:
+        hidden: as of :func:`recorded`. If not, ``joint_states`` has the true motion, also for the injector.
+        detector: whether the run has a detector.
+    """
+    found = []
+    for channel in CHANNELS:
+        readers = [r for r in channel.readers if r != "detector" or detector]
+        if channel.topic == "joint_states":
+            if hidden:
+                readers.remove("injector")
+            else:
+                channel = channel._replace(position="position", velocity="velocity")
+        if (
+            channel.when == ""
+            or (channel.when == "hidden" and hidden)
+            or (channel.when == "detector" and detector)
+        ):
+            found.append(channel._replace(readers=tuple(readers)))
+    return tuple(found)
 
 
 def seconds(nanoseconds: int) -> float:

@@ -12,13 +12,14 @@ from abc import abstractmethod
 from operator import add
 from typing import Any, ClassVar
 
+from ftcm_core.params import joint_parameters
 from ftcm_core.registry import Component
 from ftcm_core.robots import Robot
 from ftcm_core.signals import Measurement, ReferencePoint, State, Vector
 
 
 class Controller(Component):
-    """A control law with explicit state: ``init`` once, then ``step`` once per tick.
+    """A control law with explicit state: ``init`` once, then once per tick ``prepare`` and ``step``.
 
     ``needs_observer`` says whether the law uses the disturbance estimate; one that does not
     neither waits for it nor sees it.
@@ -30,50 +31,47 @@ class Controller(Component):
     def init(self, joints: int) -> State:
         """Return the state at the start or after a swap: one tuple of floats per joint."""
 
-    @abstractmethod
-    def feedback(
-        self, robot: Robot, dt: float, y: Measurement, reference: ReferencePoint, state: State
-    ) -> tuple[Vector, State]:
-        """Compute the torque of one tick but for the disturbance estimate.
+    def prepare(
+        self, model: Robot, dt: float, y: Measurement, reference: ReferencePoint, state: State
+    ) -> Any:
+        """Compute what of a tick does not need the disturbance estimate; by default nothing.
 
-        It can be asked for while the observer still works.
+        It runs while the observer still works, and has no effect: its result is handed to :meth:`step`.
 
         Args:
-            robot: the model the law uses.
+            model: what the law believes of the robot.
             dt: tick length, s.
             y: measurement at t_k.
             reference: desired motion at t_k.
             state: what the last step returned.
-
-        Returns:
-            Joint torque, N·m, and the next state.
         """
+        del model, dt, y, reference, state
 
+    @abstractmethod
     def step(
         self,
-        robot: Robot,
+        model: Robot,
         dt: float,
         y: Measurement,
         reference: ReferencePoint,
         disturbance_estimate: Vector,
         state: State,
+        prepared: Any,
     ) -> tuple[Vector, State]:
-        """Compute the torque command u_k of one tick, N·m, and the next state.
+        """Compute the torque command u_k of one tick.
 
         Args:
-            robot: as of :meth:`feedback`.
-            dt: as of :meth:`feedback`.
-            y: as of :meth:`feedback`.
-            reference: as of :meth:`feedback`.
-            disturbance_estimate: tau_hat at t_k, N·m, added where the law uses an observer.
-            state: as of :meth:`feedback`.
-        """
-        u, following = self.feedback(robot, dt, y, reference, state)
-        return self.compensated(u, disturbance_estimate), following
+            model: what the law believes of the robot.
+            dt: tick length, s.
+            y: measurement at t_k.
+            reference: desired motion at t_k.
+            disturbance_estimate: tau_hat at t_k, N·m; zeros for a law that needs no observer.
+            state: what the last step returned.
+            prepared: what :meth:`prepare` returned for the same arguments.
 
-    def compensated(self, u: Vector, disturbance_estimate: Vector) -> Vector:
-        """Add the disturbance estimate to the feedback torque where the law uses an observer, N·m."""
-        return tuple(map(add, u, disturbance_estimate)) if self.needs_observer else u
+        Returns:
+            Joint torque, N·m, and the next state.
+        """
 
     def sliding_variable(self, e: float, de: float, joint: int) -> float | None:
         """Sliding variable of one joint (0-based) for its errors (rad, rad/s); None if the law has none."""
@@ -90,7 +88,37 @@ class Controller(Component):
         return []
 
 
-class AccelerationLaw(Controller):
+class FeedbackLaw(Controller):
+    """A law to whose feedback the disturbance estimate is added: ``feedback`` is all that it says."""
+
+    @abstractmethod
+    def feedback(
+        self, model: Robot, dt: float, y: Measurement, reference: ReferencePoint, state: State
+    ) -> tuple[Vector, State]:
+        """Compute the torque without the estimate (N·m) and the next state; arguments as of ``prepare``."""
+
+    def prepare(
+        self, model: Robot, dt: float, y: Measurement, reference: ReferencePoint, state: State
+    ) -> tuple[Vector, State]:
+        """All but the estimate."""
+        return self.feedback(model, dt, y, reference, state)
+
+    def step(
+        self,
+        model: Robot,
+        dt: float,
+        y: Measurement,
+        reference: ReferencePoint,
+        disturbance_estimate: Vector,
+        state: State,
+        prepared: tuple[Vector, State],
+    ) -> tuple[Vector, State]:
+        """Add the estimate where the law uses an observer."""
+        u, following = prepared
+        return tuple(map(add, u, disturbance_estimate)) if self.needs_observer else u, following
+
+
+class AccelerationLaw(FeedbackLaw):
     """A law that is one scalar function per joint, u = M(q)(ẍ_r + a) + h + G (+ tau_hat).
 
     A subclass writes ``law(p, e, de, dt, s) -> (a, s_next)`` with p its own parameters reduced to one
@@ -116,27 +144,17 @@ class AccelerationLaw(Controller):
         return (self.initial,) * joints
 
     def feedback(
-        self, robot: Robot, dt: float, y: Measurement, reference: ReferencePoint, state: State
+        self, model: Robot, dt: float, y: Measurement, reference: ReferencePoint, state: State
     ) -> tuple[Vector, State]:
         """U = M(q) v + h + G with v = ẍ_r + law(e, ė)."""
         law = self.law
         acceleration, following = [], []
-        for p, q, v, qr, vr, ar, s in zip(joint_parameters(self, robot.joints), *y[:2], *reference, state):
+        for p, q, v, qr, vr, ar, s in zip(joint_parameters(self, model.joints), *y[:2], *reference, state):
             a, s_next = law(p, q - qr, v - vr, dt, s)
             acceleration.append(ar + a)
             following.append(s_next)
-        return robot.inverse_dynamics(y.position, y.velocity, tuple(acceleration)), tuple(following)
+        return model.inverse_dynamics(y.position, y.velocity, tuple(acceleration)), tuple(following)
 
     def sliding_variable(self, e: float, de: float, joint: int) -> float | None:
         """Sliding variable of one joint for its errors."""
         return self.surface(self.for_joint(joint), e, de)
-
-
-def joint_parameters(component: Component, joints: int) -> tuple[Any, ...]:
-    """Parameters of a component, reduced to each joint in turn; kept with the component, as it is frozen."""
-    kept: tuple[Any, ...] | None = component.__dict__.get("_joint_parameters")
-    if kept is None or len(kept) != joints:
-        component.check_joints(joints)
-        kept = tuple([component.for_joint(j) for j in range(joints)])
-        component.__dict__["_joint_parameters"] = kept
-    return kept

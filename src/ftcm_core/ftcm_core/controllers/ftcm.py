@@ -61,8 +61,9 @@ class FTCM(TerminalSurfaceLaw):
         """-S(e, ė) - Υ1 |σ|^½ sgn σ - η, or its implicit form; Δ̂ enters as the torque tau_hat."""
         if p.discretisation == "implicit":
             return implicit_law(p, e, de, dt, s)
-        u_r, eta = super_twisting(p.surface(p, e, de), s[0], p.upsilon1, p.upsilon2, dt)
-        return -p.surface_rate(p, e, de) - u_r, (eta,)
+        sigma, rate = p.surface_and_rate(p, e, de)
+        u_r, eta = super_twisting(sigma, s[0], p.upsilon1, p.upsilon2, dt)
+        return -rate - u_r, (eta,)
 
     def warnings(self) -> list[str]:
         """Eq 34, per distinct set of gains."""

@@ -34,5 +34,5 @@ class FTSMC(TerminalSurfaceLaw):
     @staticmethod
     def law(p: FTSMC, e: float, de: float, dt: float, s: Vector) -> tuple[float, Vector]:
         """-S(e, ė) - (Λ + ρ) sgn σ."""
-        sigma = p.surface(p, e, de)
-        return -p.surface_rate(p, e, de) - (p.lambda_bound + p.rho) * sgn(sigma), s
+        sigma, rate = p.surface_and_rate(p, e, de)
+        return -rate - (p.lambda_bound + p.rho) * sgn(sigma), s

@@ -3,15 +3,16 @@
 
 from __future__ import annotations
 
-from ftcm_core.controllers import Controller, joint_parameters
-from ftcm_core.params import param
+from ftcm_core.controllers import FeedbackLaw
+from ftcm_core.numeric import clamp
+from ftcm_core.params import joint_parameters, param
 from ftcm_core.registry import register
 from ftcm_core.robots import Robot
 from ftcm_core.signals import Measurement, ReferencePoint, State, Vector
 
 
 @register("controller", "pid")
-class PID(Controller):
+class PID(FeedbackLaw):
     """PID: u = G(q) - kp e - kd ė - ki ∫e, the integral torque clamped to integral_limit."""
 
     kp: float = param(
@@ -52,13 +53,13 @@ class PID(Controller):
         return ((0.0,),) * joints
 
     def feedback(
-        self, robot: Robot, dt: float, y: Measurement, reference: ReferencePoint, state: State
+        self, model: Robot, dt: float, y: Measurement, reference: ReferencePoint, state: State
     ) -> tuple[Vector, State]:
         """Gravity plus PID torque; the clamped integral advances by forward Euler."""
         u, following = [], []
         for p, g, q, v, qr, vr, (integral,) in zip(
-            joint_parameters(self, robot.joints),
-            robot.gravity(y.position),
+            joint_parameters(self, model.joints),
+            model.gravity(y.position),
             y.position,
             y.velocity,
             reference.position,
@@ -66,7 +67,7 @@ class PID(Controller):
             state,
         ):
             e = q - qr
-            integral = max(-p.integral_limit, min(p.integral_limit, integral))  # new limits hold at once
+            integral = clamp(integral, p.integral_limit)  # new limits hold at once
             u.append(g - p.kp * e - p.kd * (v - vr) - integral)
             following.append((integral + dt * p.ki * e,))
         return tuple(u), tuple(following)

@@ -13,10 +13,20 @@ from ftcm_core.numeric import logistic, sgn
 from ftcm_core.params import param
 
 
-def surface(
-    e: float, de: float, gamma1: float, gamma2: float, mu1: float, mu2: float, alpha: float, phi: float
-) -> float:
-    """σ = ė + 2γ1/(1+E^(-μ1(|e|-φ))) e + 2γ2/(1+E^(μ2(|e|-φ))) |e|^α sgn e (eq 8).
+def surface_and_rate(
+    e: float,
+    de: float,
+    gamma1: float,
+    gamma2: float,
+    mu1: float,
+    mu2: float,
+    alpha: float,
+    phi: float,
+    epsilon: float,
+) -> tuple[float, float]:
+    """σ = ė + 2γ1/(1+E^(-μ1(|e|-φ))) e + 2γ2/(1+E^(μ2(|e|-φ))) |e|^α sgn e (eq 8), and S = σ̇ - ë (eq 17).
+
+    The paper's S is singular at e = 0: there |e|^(α-1) is taken at max(|e|, ε), which removes that.
 
     Args:
         e: tracking error, rad.
@@ -27,55 +37,22 @@ def surface(
         mu2: sharpness μ2 of the terminal term's weight, 1/rad.
         alpha: terminal exponent α in (0, 1).
         phi: error φ at which the two terms change roles, rad.
-
-    Returns:
-        Sliding variable σ, rad/s.
-    """
-    z = abs(e)
-    linear = 2.0 * gamma1 * logistic(mu1 * (z - phi))
-    terminal = 2.0 * gamma2 * logistic(-mu2 * (z - phi))
-    return de + linear * e + terminal * float(z**alpha) * sgn(e)
-
-
-def surface_rate(
-    e: float,
-    de: float,
-    gamma1: float,
-    gamma2: float,
-    mu1: float,
-    mu2: float,
-    alpha: float,
-    phi: float,
-    epsilon: float,
-) -> float:
-    """S(e, ė) = σ̇ - ë (eq 17), with |e|^(α-1) taken at max(|e|, ε).
-
-    The paper's expression is singular at e = 0; bounding |e| from below by ε removes that.
-
-    Args:
-        e: tracking error, rad.
-        de: velocity error, rad/s.
-        gamma1: as in :func:`surface`.
-        gamma2: as in :func:`surface`.
-        mu1: as in :func:`surface`.
-        mu2: as in :func:`surface`.
-        alpha: as in :func:`surface`.
-        phi: as in :func:`surface`.
         epsilon: smallest |e| at which the terminal slope is evaluated, rad.
 
     Returns:
-        Rate of the surface without the acceleration error, rad/s².
+        Sliding variable σ, rad/s, and its rate without the acceleration error, S(e, ė), rad/s².
     """
     z = abs(e)
     w1 = logistic(mu1 * (z - phi))
     w2 = logistic(-mu2 * (z - phi))
+    power = float(z**alpha)
     slope = (
         2.0 * gamma1 * w1
         + 2.0 * gamma1 * mu1 * w1 * (1.0 - w1) * z
         + 2.0 * gamma2 * alpha * w2 * max(z, epsilon) ** (alpha - 1.0)
-        - 2.0 * gamma2 * mu2 * w2 * (1.0 - w2) * z**alpha
+        - 2.0 * gamma2 * mu2 * w2 * (1.0 - w2) * power
     )
-    return float(slope) * de
+    return de + 2.0 * gamma1 * w1 * e + 2.0 * gamma2 * w2 * power * sgn(e), float(slope) * de
 
 
 def switch_error(gamma1: float, gamma2: float, alpha: float) -> float:
@@ -148,14 +125,14 @@ class TerminalSurfaceLaw(AccelerationLaw):
         return switch_error(self.gamma1, self.gamma2, self.alpha)
 
     @staticmethod
-    def surface(p: Any, e: float, de: float) -> float:
-        """σ of eq 8."""
-        return surface(e, de, p.gamma1, p.gamma2, p.mu1, p.mu2, p.alpha, p.phi)
+    def surface_and_rate(p: Any, e: float, de: float) -> tuple[float, float]:
+        """σ of eq 8 and S(e, ė) of eq 17."""
+        return surface_and_rate(e, de, p.gamma1, p.gamma2, p.mu1, p.mu2, p.alpha, p.phi, p.epsilon)
 
     @staticmethod
-    def surface_rate(p: Any, e: float, de: float) -> float:
-        """S(e, ė) of eq 17."""
-        return surface_rate(e, de, p.gamma1, p.gamma2, p.mu1, p.mu2, p.alpha, p.phi, p.epsilon)
+    def surface(p: Any, e: float, de: float) -> float:
+        """σ of eq 8."""
+        return TerminalSurfaceLaw.surface_and_rate(p, e, de)[0]
 
     def settling_time_bound(self, e0: float, joint: int) -> float:
         """T_s of eq 15 for one joint, s."""

@@ -5,17 +5,18 @@ from __future__ import annotations
 
 import math
 
-from ftcm_core.faults import Fault, three_joints
+from ftcm_core.disturbances import three_joints
+from ftcm_core.faults import AdditiveFault
 from ftcm_core.registry import register
 from ftcm_core.signals import Vector
 
 
 @register("fault", "vo_kang_fault")
-class VoKangFault(Fault):
+class VoKangFault(AdditiveFault):
     """ω of eq 47: state-dependent torques on joints 1 and 3, 0.3 sin(t) u2 on joint 2."""
 
     def omega(self, t: float, q: Vector, v: Vector, u: Vector) -> Vector:
-        """Fault torque ω(q, v, u), N·m, as eq 47 prints it."""
+        """Fault torque ω(q, v, u), N·m, as eq 47 prints it; u is the control input, the command."""
         q1, q2, q3 = q
         v1, v2, v3 = v
         return (

@@ -22,15 +22,18 @@ class Observer(Component):
     """
 
     @abstractmethod
-    def init(self, robot: Robot, y: Measurement) -> Any:
+    def init(self, model: Robot, y: Measurement) -> Any:
         """Return the state at the first measurement it sees; the estimate starts from zero."""
 
     @abstractmethod
-    def step(self, robot: Robot, dt: float, y: Measurement, state: Any) -> tuple[Vector, Any]:
+    def step(self, model: Robot, dt: float, y: Measurement, state: Any) -> tuple[Vector, Any]:
         """Advance from the previous tick to this one.
 
+        Where ticks were skipped (real time, a node that came late) it is called once for each, with the
+        newest measurement, so that its time is the real one.
+
         Args:
-            robot: the model the observer uses.
+            model: what the observer believes of the robot.
             dt: tick length, s.
             y: measurement at t_k; its effort is the torque applied over [t_{k-1}, t_k).
             state: the state at t_{k-1}.

@@ -5,9 +5,8 @@ from __future__ import annotations
 
 from typing import NamedTuple
 
-from ftcm_core.controllers import joint_parameters
 from ftcm_core.observers import Observer
-from ftcm_core.params import param
+from ftcm_core.params import joint_parameters, param
 from ftcm_core.registry import register
 from ftcm_core.robots import Robot
 from ftcm_core.signals import Measurement, Vector
@@ -35,16 +34,16 @@ class DO(Observer):
     )
     k2: float = param(200.0, unit="1/s", above=0.0, per_joint=True, doc="velocity gain k2", source="Table 1")
 
-    def init(self, robot: Robot, y: Measurement) -> DOState:
+    def init(self, model: Robot, y: Measurement) -> DOState:
         """ω̂ starts at the measured velocity, Δ̂ at zero."""
-        return DOState(y.velocity, (0.0,) * robot.joints, y.position, y.velocity)
+        return DOState(y.velocity, (0.0,) * model.joints, y.position, y.velocity)
 
-    def step(self, robot: Robot, dt: float, y: Measurement, state: DOState) -> tuple[Vector, DOState]:
+    def step(self, model: Robot, dt: float, y: Measurement, state: DOState) -> tuple[Vector, DOState]:
         """One forward-Euler step with y_{k-1} and the torque applied since; returns M(q_k) Δ̂."""
-        acceleration = robot.forward_dynamics(state.position, state.velocity, y.effort)
+        acceleration = model.forward_dynamics(state.position, state.velocity, y.effort)
         omega, delta = [], []
         for p, w, d, v, a in zip(
-            joint_parameters(self, robot.joints),
+            joint_parameters(self, model.joints),
             state.omega_hat,
             state.delta_hat,
             state.velocity,
@@ -55,7 +54,7 @@ class DO(Observer):
             delta.append(d_next)
         delta_hat = tuple(delta)
         return (
-            robot.inertia_torque(y.position, delta_hat),
+            model.inertia_torque(y.position, delta_hat),
             DOState(tuple(omega), delta_hat, y.position, y.velocity),
         )
 

@@ -15,10 +15,10 @@ from ftcm_core.signals import Measurement, Vector
 class NoObserver(Observer):
     """No observer: tau_hat = 0."""
 
-    def init(self, robot: Robot, y: Measurement) -> Any:
+    def init(self, model: Robot, y: Measurement) -> Any:
         """Nothing to remember."""
         return ()
 
-    def step(self, robot: Robot, dt: float, y: Measurement, state: Any) -> tuple[Vector, Any]:
+    def step(self, model: Robot, dt: float, y: Measurement, state: Any) -> tuple[Vector, Any]:
         """Return zeros."""
-        return (0.0,) * robot.joints, state
+        return (0.0,) * model.joints, state

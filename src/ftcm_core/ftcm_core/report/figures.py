@@ -16,8 +16,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from ftcm_core.errors import FtcmError
+from ftcm_core.recording.trace import ENDED_EARLY, Array, Trace
 from ftcm_core.report.panels import MISSING, Curve, detail, grid, legend, log_panel, panel, wider
-from ftcm_core.trace import ENDED_EARLY, Array, Trace
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from ftcm_core.trace import Array, Trace
+from ftcm_core.recording.trace import Array, Trace
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

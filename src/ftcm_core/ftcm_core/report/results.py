@@ -8,21 +8,16 @@ import json
 import math
 import os
 import re
-import zipfile
 from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-
 from ftcm_core.errors import FtcmError
-from ftcm_core.metrics import result
-from ftcm_core.provenance import provenance
-from ftcm_core.registry import find
+from ftcm_core.recording.metrics import result
+from ftcm_core.recording.provenance import provenance
+from ftcm_core.recording.trace import Trace
 from ftcm_core.report.figures import write_figures
 from ftcm_core.report.table import comparison_table, paper_table, settling_table
-from ftcm_core.scenario import from_mapping
-from ftcm_core.trace import COLUMNS, Change, Trace
 
 
 def to_json(value: Any, indent: int | None = None) -> str:
@@ -109,57 +104,6 @@ def report(results: Sequence[dict[str, Any]], more: str = "") -> str:
     """Return every table of some results, in Markdown, and what else is to be said."""
     tables = (comparison_table(results), settling_table(results), paper_table(results), more)
     return "\n".join(text for text in tables if text)
-
-
-def save_trace(path: Path, trace: Trace) -> None:
-    """Write a trace to a compressed NumPy archive, with its scenario, status and changes as JSON in it."""
-    about = {
-        "format": 1,
-        "joint_names": trace.joint_names,
-        "dt": trace.dt,
-        "status": trace.status,
-        "detail": trace.detail,
-        "scenario": trace.scenario.to_mapping() if trace.scenario else None,
-        "changes": [
-            {"tick": c.tick, "kind": c.kind, "component": c.component.to_mapping()} for c in trace.changes
-        ],
-    }
-    columns = {name: getattr(trace, name) for name in COLUMNS}
-    np.savez_compressed(path, about=np.array(json.dumps(about)), time_ns=trace.time_ns, **columns)
-
-
-def load_trace(path: Path) -> Trace:
-    """Read a trace that :func:`save_trace` wrote.
-
-    Raises:
-        FtcmError: it cannot be read or is not a trace.
-    """
-    try:
-        with np.load(path, allow_pickle=False) as archive:
-            about = json.loads(str(archive["about"]))
-            columns = {name: archive[name] for name in COLUMNS}
-            time_ns = archive["time_ns"]
-    except OSError as error:
-        raise FtcmError(f"trace {str(path)!r} cannot be read: {error.strerror or error}") from None
-    except (KeyError, ValueError, EOFError, zipfile.BadZipFile):
-        raise FtcmError(
-            f"{str(path)!r} is not a trace; expected a trace.npz of ftcm simulate --output"
-        ) from None
-    changes = []
-    for change in about["changes"]:
-        parameters = dict(change["component"])
-        component = find(change["kind"], parameters.pop("type"))(**parameters)
-        changes.append(Change(change["tick"], change["kind"], component))
-    return Trace(
-        joint_names=tuple(about["joint_names"]),
-        dt=about["dt"],
-        time_ns=time_ns,
-        **columns,
-        scenario=from_mapping(about["scenario"], origin=str(path)) if about["scenario"] else None,
-        status=about["status"],
-        detail=about["detail"],
-        changes=tuple(changes),
-    )
 
 
 def _finite(value: Any) -> Any:

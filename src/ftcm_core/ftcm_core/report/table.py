@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Comparison tables in Markdown, made from the result objects of :func:`ftcm_core.metrics.result`.
+"""Comparison tables in Markdown, made from the result objects of :func:`ftcm_core.recording.metrics.result`.
 
 Every number but :data:`PUBLISHED` comes from the results.
 """
@@ -7,11 +7,12 @@ Every number but :data:`PUBLISHED` comes from the results.
 from __future__ import annotations
 
 import math
-import re
 from collections.abc import Sequence
 from typing import Any
 
-from ftcm_core.metrics import SETTLING_BAND
+from tabulate import tabulate
+
+from ftcm_core.recording.metrics import SETTLING_BAND
 from ftcm_core.scenario import load, shipped_scenarios
 
 PUBLISHED: dict[str, tuple[float, float, float]] = {
@@ -34,7 +35,7 @@ def comparison_table(results: Sequence[Result]) -> str:
     """Compare runs: one line per run in each table (mean errors; their windows; peak and torque).
 
     Args:
-        results: objects of :func:`ftcm_core.metrics.result`, optionally with a ``label`` each.
+        results: objects of :func:`ftcm_core.recording.metrics.result`, optionally with a ``label`` each.
 
     Returns:
         Markdown, with a line for every run that did not complete.
@@ -72,7 +73,7 @@ def comparison_table(results: Sequence[Result]) -> str:
         "",
         markdown(efforts),
     ]
-    details = [f"- {run_name(r)}: {status(r)}; {_reason(r)}" for r in results if r["status"] != "completed"]
+    details = [f"- {run_name(r)}: {r['status']}: {_reason(r)}" for r in results if r["status"] != "completed"]
     if details:
         lines += ["", "Runs that ended early; their values cover only what was run:", "", *details]
     return "\n".join(lines) + "\n"
@@ -98,7 +99,7 @@ def paper_table(results: Sequence[Result]) -> str:
     """Compare runs of the paper's experiment with its Table 2.
 
     Args:
-        results: objects of :func:`ftcm_core.metrics.result`.
+        results: objects of :func:`ftcm_core.recording.metrics.result`.
 
     Returns:
         Markdown; empty when no result is a run of the paper's experiment.
@@ -186,11 +187,10 @@ def status(result: Result) -> str:
     """Return how a run ended and, unless it completed, when."""
     if result["status"] == "completed":
         return "completed"
-    found = re.match(r"at t = (\S+) s", result["detail"])
-    time = found.group(1) if found else None
+    time = result["ended_at"]
     if time is None and result["configuration"]:
-        time = f"{result['ticks'] * result['configuration']['dt']:g}"
-    return f"{result['status']} at {time} s" if time else str(result["status"])
+        time = result["ticks"] * result["configuration"]["dt"]
+    return str(result["status"]) if time is None else f"{result['status']} at {time:g} s"
 
 
 def run_name(result: Result) -> str:
@@ -202,7 +202,7 @@ def run_name(result: Result) -> str:
 
 
 def _reason(result: Result) -> str:
-    return re.sub(r"^at t = \S+ s: ", "", result["detail"]) or f"{result['ticks']} ticks recorded"
+    return result["detail"] or f"{result['ticks']} ticks recorded"
 
 
 def _joints(result: Result) -> int:
@@ -245,6 +245,5 @@ def markdown(rows: Sequence[Sequence[str]]) -> str:
     """A Markdown table whose columns line up as plain text too; the first row is the heading."""
     count = len(rows[0])
     cells = [[*(c.replace("|", "\\|") for c in row), *[ABSENT] * (count - len(row))] for row in rows]
-    widths = [max(len(row[i]) for row in cells) for i in range(count)]
-    lines = ["| " + " | ".join(c.ljust(w) for c, w in zip(row, widths)) + " |" for row in cells]
-    return "\n".join([lines[0], "|" + "|".join("-" * (w + 2) for w in widths) + "|", *lines[1:]])
+    text: str = tabulate(cells[1:], headers=cells[0], tablefmt="github", disable_numparse=True)
+    return text

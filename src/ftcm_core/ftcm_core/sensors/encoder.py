@@ -6,12 +6,11 @@ from __future__ import annotations
 import math
 from typing import NamedTuple
 
-from ftcm_core.controllers import joint_parameters
-from ftcm_core.params import param
+from ftcm_core.params import joint_parameters, param
+from ftcm_core.random_streams import gaussian, stream_key
 from ftcm_core.registry import register
 from ftcm_core.sensors import Sensor
 from ftcm_core.signals import Vector
-from ftcm_core.streams import gaussian, stream_key
 
 
 class EncoderState(NamedTuple):
@@ -70,7 +69,7 @@ class Encoder(Sensor):
         first = joints * state.taken
         measured = tuple(
             [
-                encode(q + (p.noise * gaussian(state.key, first + j) if p.noise else 0.0), p.resolution)
+                encode(noisy(q, p.noise, state.key, first + j), p.resolution)
                 for j, (p, q) in enumerate(zip(joint_parameters(self, joints), position))
             ]
         )
@@ -83,6 +82,18 @@ class Encoder(Sensor):
             ]
         )
         return measured, estimate, EncoderState(state.key, state.taken + 1.0, measured, estimate)
+
+
+def noisy(q: float, noise: float, key: float, counter: float) -> float:
+    """Add Gaussian noise to a position, rad.
+
+    Args:
+        q: position, rad.
+        noise: standard deviation, rad; 0: none.
+        key: stream of random numbers.
+        counter: which number of it.
+    """
+    return q if noise == 0.0 else q + noise * gaussian(key, counter)
 
 
 def encode(q: float, resolution: float) -> float:

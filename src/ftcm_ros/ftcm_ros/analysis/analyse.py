@@ -9,6 +9,7 @@ from collections import Counter
 from pathlib import Path
 
 from ftcm_core.errors import FtcmError
+from ftcm_core.registry import load_plugins
 from ftcm_core.report.results import labelled, new_folder, report, to_json, write_results
 from ftcm_core.scenario import load
 from ftcm_ros.analysis.timing import hop_times, percentiles, timing_table, write_figure
@@ -32,6 +33,13 @@ def build_parser() -> argparse.ArgumentParser:
     parser.add_argument(
         "--repair", type=Path, metavar="NEW", help="write a bag that was not closed anew, closed, to NEW"
     )
+    parser.add_argument(
+        "--plugin",
+        action="append",
+        default=[],
+        metavar="FILE",
+        help="load components that the runs used from a Python file or module; this runs its code",
+    )
     parser.add_argument("--json", action="store_true", help="print the results as one JSON object")
     return parser
 
@@ -51,6 +59,7 @@ def analyse(options: argparse.Namespace) -> int:
     Raises:
         FtcmError: a bag or the target cannot be used.
     """
+    load_plugins(options.plugin)
     scenario = load(options.scenario) if options.scenario else None
     folder = new_folder(options.output) if options.output else None
     bags = [read_bag(path, scenario) for path in options.bags]

@@ -13,7 +13,7 @@ from ftcm_core.report.results import writing
 from ftcm_core.report.table import markdown
 from ftcm_ros.bags.reader import BagContents
 from ftcm_ros.timing.pacing import CAUSES
-from ftcm_ros.transport.topics import DISTURBANCE, ESTIMATE, JOINT_STATES, TORQUES
+from ftcm_ros.transport.topics import DETECTION, DISTURBANCE, ESTIMATE, JOINT_STATES, TORQUES
 
 PERCENTILES = {"p50": 50.0, "p99": 99.0, "p999": 99.9, "max": 100.0}
 
@@ -22,7 +22,8 @@ def hop_times(bag: BagContents) -> dict[str, npt.NDArray[np.float64]]:
     """Return samples in µs: ``jitter`` of the tick and the latency of each hop and of the chain.
 
     ``jitter``: interval between two measurements less dt (not in lockstep, which has no clock).
-    ``observer``, ``controller``, ``injector``: from the message that the node waits for to its own.
+    ``observer``, ``controller``, ``injector``, ``detector``: from the message that the node waits for to its
+    own.
     ``chain``: from measurement to disturbance. A topic that is not recorded gives no samples.
     """
     stamps, published = bag.stamps, bag.published
@@ -36,6 +37,7 @@ def hop_times(bag: BagContents) -> dict[str, npt.NDArray[np.float64]]:
         "observer": (JOINT_STATES, ESTIMATE),
         "controller": (awaited, TORQUES),
         "injector": (TORQUES, DISTURBANCE),
+        "detector": (TORQUES, DETECTION),
         "chain": (JOINT_STATES, DISTURBANCE),
     }
     for name, (before, after) in hops.items():
@@ -94,7 +96,7 @@ def write_figure(runs: list[tuple[str, dict[str, npt.NDArray[np.float64]]]], fil
         raise FtcmError('figures need matplotlib: pip install "ftcm_core[figures]"') from None
     names = [
         n
-        for n in ("jitter", "observer", "controller", "injector", "chain")
+        for n in ("jitter", "observer", "controller", "injector", "detector", "chain")
         if any(n in samples for _, samples in runs)
     ]
     figure = Figure(figsize=(2.4 * len(names) + 1.0, 3.6), layout="constrained")

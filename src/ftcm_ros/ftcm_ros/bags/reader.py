@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A bag to a :class:`~ftcm_core.trace.Trace`: any rosbag2 bag with the suite's topics."""
+"""A bag to a :class:`~ftcm_core.recording.trace.Trace`: any rosbag2 bag with the suite's topics."""
 
 from __future__ import annotations
 
@@ -16,40 +16,27 @@ from rosbags.rosbag2 import Reader
 from rosbags.typesys import Stores, get_typestore
 
 from ftcm_core.errors import FtcmError, shown
-from ftcm_core.registry import find
+from ftcm_core.recording.trace import ENDED_EARLY, Change, Trace
+from ftcm_core.registry import find, plugins
 from ftcm_core.scenario import Scenario, from_mapping, parse_yaml
-from ftcm_core.signals import NANOSECONDS
-from ftcm_core.trace import COLUMNS, ENDED_EARLY, Change, Trace
+from ftcm_core.signals import NANOSECONDS, channels
 from ftcm_ros.bags.recovery import Message, scan
-from ftcm_ros.transport.codec import CodecError, JointStateCodec, read_joint_state
+from ftcm_ros.transport.codec import JOINT_STATE, CodecError, JointStateCodec, read_joint_state
 from ftcm_ros.transport.topics import (
     CHANGES,
-    DATA,
+    DETECTION,
     DIAGNOSTICS,
-    DISTURBANCE,
-    ESTIMATE,
     EVENTS,
     JOINT_STATES,
-    REFERENCE,
     SCENARIO,
-    TORQUES,
+    TOPICS,
     TRUE_STATE,
     data_topics,
 )
 
-_SOURCES = {
-    "position": (JOINT_STATES.name, 0),
-    "velocity": (JOINT_STATES.name, 1),
-    "effort": (JOINT_STATES.name, 2),
-    "disturbance_estimate": (ESTIMATE.name, 2),
-    "command": (TORQUES.name, 2),
-    "disturbance": (DISTURBANCE.name, 2),
-    "reference_position": (REFERENCE.name, 0),
-    "reference_velocity": (REFERENCE.name, 1),
-}
-"""Column: its topic, and which array of the message."""
-
-_WANTED = tuple(t.name.lstrip("/") for t in (*DATA, TRUE_STATE, *EVENTS))
+_WANTED = tuple(
+    t.name.lstrip("/") for t in (*(topic for topic in TOPICS if topic.type == JOINT_STATE), *EVENTS)
+)
 
 Decoded = tuple[npt.NDArray[np.int64], list["npt.NDArray[np.float64] | None"]]
 
@@ -104,7 +91,7 @@ def read_bag(path: Path, scenario: Scenario | None = None) -> BagContents:
         (typestore.deserialize_cdr(m, SCENARIO.type).data for m in others[SCENARIO.name]), None
     )
     if scenario is None and text:
-        scenario = from_mapping(parse_yaml(text, str(path))[0], origin=f"{path}: recorded scenario")
+        scenario = _recorded_scenario(path, text)
     names = scenario.robot.joint_names if scenario else _joint_names(path, raw[JOINT_STATES.name][0])
     codec = JointStateCodec(names)
     decoded: dict[str, Decoded] = {}
@@ -125,11 +112,7 @@ def read_bag(path: Path, scenario: Scenario | None = None) -> BagContents:
         recovered = _cut_ragged_end(decoded, published, scenario)
     stamps = np.unique(np.concatenate([times for times, _ in decoded.values()]))
     dt_ns = scenario.dt_ns if scenario else int(np.median(np.diff(stamps))) if len(stamps) > 1 else 1_000_000
-    columns: dict[str, Any] = {c: _column(decoded, stamps, len(names), *_SOURCES[c]) for c in COLUMNS}
-    if TRUE_STATE.name in decoded:
-        for i, column in enumerate(("position", "velocity")):
-            columns[f"measured_{column}"] = columns[column]
-            columns[column] = _column(decoded, stamps, len(names), TRUE_STATE.name, i)
+    columns: dict[str, Any] = _columns(decoded, stamps, len(names), scenario)
     missing = {}
     for topic in data_topics(scenario):
         have = len(np.unique(decoded[topic.name][0])) if topic.name in decoded else 0
@@ -137,16 +120,63 @@ def read_bag(path: Path, scenario: Scenario | None = None) -> BagContents:
         if have < expected:
             missing[topic.name] = expected - have
     nodes = _last_diagnostics(typestore, others[DIAGNOSTICS.name.lstrip("/")])
-    changes = _changes(typestore, others[CHANGES.name], dt_ns)
+    try:
+        changes = _changes(typestore, others[CHANGES.name], dt_ns)
+    except FtcmError as error:
+        raise _naming_plugins(error, scenario.plugins if scenario else ()) from None
     if scenario is not None:
         scenario, changes = _initial_components(scenario, changes, int(stamps[0]) // dt_ns)
-    status, detail = _status(scenario, nodes.get("plant", {}), int(stamps[-1]), dt_ns)
+    status, detail, ended_at = _status(scenario, nodes.get("plant", {}), int(stamps[-1]), dt_ns)
     stamps_of = {name: times for name, (times, _) in decoded.items()}
     trace = Trace(
         joint_names=names, dt=dt_ns / 1e9, time_ns=stamps, **columns,
-        scenario=scenario, status=status, detail=detail, changes=tuple(changes),
+        scenario=scenario, status=status, detail=detail, ended_at=ended_at, changes=tuple(changes),
+        engine="graph",
     )  # fmt: skip
     return BagContents(path, trace, missing, nodes, metadata, published, stamps_of, unusable, runs, recovered)
+
+
+def _recorded_scenario(path: Path, text: str) -> Scenario:
+    data = parse_yaml(text, str(path))[0]
+    try:
+        return from_mapping(data, origin=f"{path}: recorded scenario")
+    except FtcmError as error:
+        named = data.get("plugins") if isinstance(data, dict) else None
+        raise _naming_plugins(error, named or ()) from None
+
+
+def _naming_plugins(error: FtcmError, named: Iterable[str]) -> FtcmError:
+    """The same error, and which plug-ins of the run have not been loaded."""
+    missing = [name for name in named if name not in plugins()]
+    if not missing:
+        return error
+    return FtcmError(
+        f"{error}; the run used the plug-ins {', '.join(map(str, missing))}: give them with --plugin"
+    )
+
+
+def _columns(
+    decoded: dict[str, Decoded], stamps: npt.NDArray[np.int64], joints: int, scenario: Scenario | None
+) -> dict[str, npt.NDArray[np.float64]]:
+    """Columns of the trace, from the topics that have them."""
+    if scenario is None:  # of another recorder: what its topics show
+        hidden = TRUE_STATE.name in decoded
+        there = channels(hidden, DETECTION.name in decoded)
+    else:
+        hidden, there = scenario.hidden, scenario.channels
+    columns = {
+        name: _column(decoded, stamps, joints, channel.topic, i)
+        for channel in there
+        for i, name in enumerate(channel.columns)
+        if name
+    }
+    if not hidden and TRUE_STATE.name in decoded:
+        # Ticks in which another disturbance acted than the one of that tick.
+        torque = columns["effort"].copy()
+        torque[1:] += columns["disturbance"][:-1]
+        acted = _column(decoded, stamps, joints, TRUE_STATE.name, 2)
+        columns["joint_torque"] = np.where(np.isnan(acted), torque, acted)
+    return columns
 
 
 def _read_messages(path: Path) -> tuple[dict[str, list[bytes]], dict[str, npt.NDArray[np.int64]], str]:
@@ -230,7 +260,7 @@ def _decode(
 ) -> tuple[Decoded, npt.NDArray[np.bool_]]:
     """Return what a topic's messages say, and which of them are ticks of the run: the others are left out."""
     keep = np.ones(len(messages), dtype=np.bool_)
-    for layout in (codec.state, codec.torque, codec.motion):
+    for layout in codec.layouts:
         found = layout.decode_all(messages)
         if found is not None:
             times, arrays = found
@@ -315,11 +345,13 @@ def _initial_components(
     return dataclasses.replace(scenario, **initial), [c for c in changes if c.tick > first]
 
 
-def _status(scenario: Scenario | None, plant: dict[str, str], last_ns: int, dt_ns: int) -> tuple[str, str]:
+def _status(
+    scenario: Scenario | None, plant: dict[str, str], last_ns: int, dt_ns: int
+) -> tuple[str, str, float | None]:
+    """Status, detail, and when a run ended early, s."""
     if plant.get("state") in ENDED_EARLY:
-        return plant["state"], plant.get("detail", "")
+        return plant["state"], plant.get("detail", ""), float(plant.get("ended_at", (last_ns + dt_ns) / 1e9))
     if scenario is not None and last_ns // dt_ns >= scenario.last_tick:
-        return "completed", ""
-    return "incomplete", f"ends at t = {last_ns / 1e9:g} s" + (
-        f" of {scenario.duration:g} s" if scenario else ""
-    )
+        return "completed", "", None
+    of = f" of {scenario.duration:g} s" if scenario else ""
+    return "incomplete", f"ends at t = {last_ns / 1e9:g} s{of}", None

@@ -18,11 +18,11 @@ from rosbags.rosbag2 import StoragePlugin, Writer, WriterError
 from rosbags.typesys import Stores, get_typestore
 
 from ftcm_core.errors import FtcmError
-from ftcm_core.provenance import provenance
+from ftcm_core.recording.provenance import provenance
 from ftcm_core.scenario import Scenario
 from ftcm_ros.bags.rosbags_internals import do_not_wait_for_the_disk, flush, keep_index_on_disk
 from ftcm_ros.transport.codec import stamp_of
-from ftcm_ros.transport.topics import EVENTS, SCENARIO, Topic, data_topics
+from ftcm_ros.transport.topics import SCENARIO, Topic, data_topics, recorded_topics
 
 STORAGE = {"mcap": StoragePlugin.MCAP, "sqlite3": StoragePlugin.SQLITE3}
 _FOREVER = QosTime(0x7FFFFFFFFFFFFFFF // 10**9, 0x7FFFFFFFFFFFFFFF % 10**9)
@@ -114,7 +114,7 @@ class Recording:
                     typestore=typestore,
                     offered_qos_profiles=[_qos(topic)],
                 )
-                for topic in (*data_topics(scenario), *EVENTS)
+                for topic in recorded_topics(scenario)
             }
             self._writer.write(
                 self._connections[SCENARIO.name],

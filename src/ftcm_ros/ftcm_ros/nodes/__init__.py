@@ -1,2 +1,2 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The nodes: plant, observer, controller, injector, recorder."""
+"""The nodes: plant, observer, controller, injector, detector, recorder."""

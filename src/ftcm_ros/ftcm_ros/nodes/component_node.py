@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A reactive node whose component can be changed while it runs: controller and observer."""
+"""A reactive node whose component can be changed while it runs: controller, observer, detector."""
 
 from __future__ import annotations
 
@@ -9,7 +9,8 @@ from typing import Any
 
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
 
-from ftcm_core.registry import Component
+from ftcm_core.errors import FtcmError
+from ftcm_core.registry import Component, components
 from ftcm_core.signals import NANOSECONDS, Vector
 from ftcm_ros.nodes.reactive_node import ReactiveNode
 from ftcm_ros.parameters.component_parameters import ComponentParameters
@@ -20,15 +21,24 @@ class ComponentNode(ReactiveNode):
     """Applies a changed component between two ticks and announces it with its first tick."""
 
     def __init__(self, kind: str) -> None:
-        """Declare the parameters of every component of the kind."""
+        """Declare the parameters of every component of the kind.
+
+        Raises:
+            FtcmError: the scenario has none of it, or a parameter is not valid.
+        """
         super().__init__(kind)
         self.kind = kind
+        initial: Component | None = getattr(self.scenario, kind)
+        if initial is None:
+            raise FtcmError(
+                f"the scenario has no {kind}; expected one, e.g. {kind}: {next(iter(components(kind)))}"
+            )
         self._announce = self.plane.publisher(CHANGES)
         self._pending: Component | None = None
         self._announced: Component | None = None
         self._output: Vector = ()
         self.parameters = ComponentParameters(
-            self, kind, getattr(self.scenario, kind), self.scenario.robot.joints, self._on_change
+            self, kind, initial, self.scenario.robot.joints, self._on_change
         )
 
     def _on_change(self, component: Component) -> None:
@@ -73,7 +83,7 @@ def change_message(kind: str, component: Component, time_ns: int, tick: int, ste
     """Describe a component that takes effect at a tick.
 
     Args:
-        kind: ``controller`` or ``observer``.
+        kind: ``controller``, ``observer`` or ``detector``.
         component: the component.
         time_ns: stamp of its first tick, ns.
         tick: number of its first tick.

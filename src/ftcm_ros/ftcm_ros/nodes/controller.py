@@ -13,7 +13,7 @@ from ftcm_core.controllers import Controller
 from ftcm_core.limits import command_beyond
 from ftcm_core.registry import Component
 from ftcm_core.signals import Measurement
-from ftcm_core.stages import ControllerStage
+from ftcm_core.simulation.stages import ControllerStage
 from ftcm_ros.nodes.component_node import ComponentNode
 from ftcm_ros.nodes.main import run
 from ftcm_ros.transport.codec import JointSample
@@ -40,7 +40,7 @@ class ControllerNode(ComponentNode):
         """A fresh control law."""
         super().configure()
         law = cast(Controller, self.parameters.component)
-        self.stage = ControllerStage(law, self.scenario.reference, self.scenario.robot, self.scenario.dt)
+        self.stage = ControllerStage(self.scenario, law)
         self._require(law)
 
     def _require(self, law: Controller) -> None:

@@ -8,6 +8,7 @@ import sys
 from collections.abc import Callable
 from typing import Any
 
+from ftcm_core.simulation.stages import InjectorStage
 from ftcm_ros.nodes.main import run
 from ftcm_ros.nodes.reactive_node import ReactiveNode
 from ftcm_ros.transport.codec import JointSample
@@ -20,7 +21,7 @@ class InjectorNode(ReactiveNode):
     def __init__(self) -> None:
         """Subscribe the robot's true motion and torques, publish the added torque."""
         super().__init__("injector")
-        self._motion = JOINT_STATES if self.scenario.sensor.exact else TRUE_STATE
+        self._motion = TRUE_STATE if self.scenario.hidden else JOINT_STATES
         self.listen({self._motion: ("position", "velocity"), TORQUES: ("effort",)})
         self._publish = self.plane.publisher(DISTURBANCE)
         self.configure()
@@ -28,7 +29,7 @@ class InjectorNode(ReactiveNode):
     def configure(self) -> None:
         """Disturbances and faults as they are before the first tick."""
         super().configure()
-        self.stage = self.scenario.injector_stage()
+        self.stage = InjectorStage(self.scenario)
 
     def answer(
         self, time_ns: int, values: dict[str, JointSample]
@@ -36,7 +37,8 @@ class InjectorNode(ReactiveNode):
         """One disturbance."""
         state = values[self._motion.name]
         try:
-            d = self.stage.step(time_ns, state.position, state.velocity, values[TORQUES.name].effort).torque
+            u = values[TORQUES.name].effort
+            d = self.stage.step(time_ns, state.position, state.velocity, u, self.elapsed).torque
         except (
             ArithmeticError,
             ValueError,

@@ -11,7 +11,7 @@ from typing import Any, cast
 from ftcm_core.observers import Observer
 from ftcm_core.registry import Component
 from ftcm_core.signals import Measurement
-from ftcm_core.stages import ObserverStage
+from ftcm_core.simulation.stages import ObserverStage
 from ftcm_ros.nodes.component_node import ComponentNode
 from ftcm_ros.nodes.main import run
 from ftcm_ros.transport.codec import JointSample
@@ -32,7 +32,7 @@ class ObserverNode(ComponentNode):
         """A fresh observer."""
         super().configure()
         observer = cast(Observer, self.parameters.component)
-        self.stage = ObserverStage(observer, self.scenario.robot, self.scenario.dt)
+        self.stage = ObserverStage(observer, self.scenario.model, self.scenario.dt)
 
     def use(self, component: Component) -> None:
         """Swap the observer."""
@@ -43,7 +43,7 @@ class ObserverNode(ComponentNode):
     ) -> list[tuple[Callable[[Any], None], bytes]]:
         """One estimate."""
         try:
-            tau_hat = self.stage.step(Measurement(*values[JOINT_STATES.name][1:]))
+            tau_hat = self.stage.step(Measurement(*values[JOINT_STATES.name][1:]), self.elapsed)
         except (ArithmeticError, ValueError) as error:  # driven out of its domain: the run has diverged
             self.get_logger().error(f"tick {time_ns // self.scenario.dt_ns}: {error}")
             tau_hat = (math.nan,) * self.scenario.robot.joints

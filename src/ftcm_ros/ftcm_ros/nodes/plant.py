@@ -1,10 +1,20 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The plant node: publishes ``joint_states``, integrates the robot, and is the only one with a clock."""
+"""The plant node: publishes ``joint_states``, moves the robot, and is the only one with a clock.
+
+A tick, in lockstep and in real time, in the order of the methods below:
+
+1. ``_begin_tick`` publishes the measurement.
+2. ``_on_input`` takes torque and disturbance in. When both are here the robot moves at once: in real time
+   that is ahead of the deadline.
+3. ``_end_tick``, when the pacer says so: if they have not come, the robot moves with the newest there are,
+   and the miss is counted. Then the next tick begins.
+"""
 
 from __future__ import annotations
 
 import sys
 import time
+from collections.abc import Callable
 from dataclasses import asdict
 from typing import Any
 
@@ -13,13 +23,14 @@ from rclpy.serialization import deserialize_message
 from std_msgs.msg import String
 
 from ftcm_core.errors import FtcmError
-from ftcm_core.signals import NANOSECONDS, TrueDisturbance, seconds
-from ftcm_core.trace import ENDED_EARLY
+from ftcm_core.recording.trace import ENDED_EARLY
+from ftcm_core.signals import NANOSECONDS, TrueDisturbance, Vector, seconds
+from ftcm_core.simulation.stages import PlantStage
 from ftcm_ros.nodes.main import run
 from ftcm_ros.nodes.suite_node import POLL_NS, SuiteNode
 from ftcm_ros.timing.clocks import ClockWatch
 from ftcm_ros.timing.durations import Durations
-from ftcm_ros.timing.pacing import PACERS, Misses, RealTime
+from ftcm_ros.timing.pacing import PACERS, Misses
 from ftcm_ros.transport.topics import (
     CLOCK,
     DISTURBANCE,
@@ -36,11 +47,24 @@ ASK_AGAIN_NS = NANOSECONDS
 """In lockstep, how long an answer may take before the measurement is published again."""
 
 
+class Input:
+    """The newest value of one topic that the plant acts on."""
+
+    def __init__(self, joints: int) -> None:
+        """None yet: zeros."""
+        self.time_ns = -1
+        self.value: Vector = (0.0,) * joints
+
+
 class PlantNode(SuiteNode):
     """Simulates the robot, one tick after the other, in lockstep or in real time."""
 
     def __init__(self) -> None:
-        """Subscribe torque and disturbance, publish the measurement."""
+        """Subscribe torque and disturbance, publish the measurement.
+
+        Raises:
+            FtcmError: a parameter is not valid.
+        """
         super().__init__("plant")
         self.mode: str = self.setting("mode")
         self.recorder_window: int = self.setting("recorder_window")
@@ -49,16 +73,12 @@ class PlantNode(SuiteNode):
             raise FtcmError(f"torque_timeout: {timeout} is out of range; expected ticks, or 0: never")
         self._torque_timeout_ns = timeout * self.scenario.dt_ns or sys.maxsize
         self._publish = self.plane.publisher(JOINT_STATES)
-        exact = self.scenario.sensor.exact
-        self._publish_truth = None if exact else self.plane.publisher(TRUE_STATE)
+        self._publish_truth = self.plane.publisher(TRUE_STATE)
         self._publish_clock = self.plane.publisher(CLOCK)
         self._publish_scenario = self.plane.publisher(SCENARIO)
-        self._inputs: dict[Topic, dict[str, Any]] = {}
         for topic in (TORQUES, DISTURBANCE):
-            self._inputs[topic] = {}
             self.plane.subscribe(topic, self._handler(topic))
         self.plane.subscribe(RECORDED, self._on_recorded)
-        self._recorded_ns = -1
         self._clocks = ClockWatch()
         self.state = "waiting"
         self.detail = ""
@@ -66,25 +86,192 @@ class PlantNode(SuiteNode):
         self.elapsed = 0.0
         self.configure()
 
-    def _handler(self, topic: Topic) -> Any:
-        latest = self._inputs[topic]
+    # A run.
 
+    def configure(self) -> None:
+        """The robot at its initial state."""
+        joints = self.scenario.robot.joints
+        self.stage = PlantStage(self.scenario)
+        self.misses = Misses()
+        self.pacer = PACERS[self.mode](self.scenario.dt_ns, misses=self.misses)
+        self.tick = 0
+        self.time_ns = 0
+        self.torque, self.disturbance = Input(joints), Input(joints)
+        self._recorded_ns = -1
+        self.latencies, self.lateness, self.times = Durations(), Durations(), Durations()
+        self._moved = False
+        """Whether the robot has moved over the present tick, with its torque and disturbance."""
+        self._finished = False
+        self._published_at = 0
+        self.asked_again = 0
+        self.repeated = 0
+        """Inputs that came again for their tick, the same."""
+        self.stopping_safely = False
+        self.safe_stops = self.safe_stop_ticks = 0
+        self._raised = ""
+        """What the robot's equations raised: it was driven out of their domain."""
+        self.ended_at: float | None = None
+
+    def activate(self) -> None:
+        """Begin at tick 0."""
+        self.configure()
+        self.state, self.detail = "running", ""
+        self._publish_scenario(String(data=self.scenario.to_yaml()))
+        self._began = time.monotonic()
+        self.elapsed = 0.0
+        self._encode(0, reveal=self.scenario.hidden)
+        self._begin_tick()
+        self.pacer.begin()
+
+    def step(self) -> None:
+        """One round of the main loop: wait for the end of the tick, go on to the next."""
+        if self._finished or not self.active:
+            self.plane.poll(POLL_NS)
+        elif self.pacer.wait(self._ready, self._poll):
+            self._end_tick()
+        elif time.monotonic_ns() - self._published_at > ASK_AGAIN_NS and not self._moved:
+            self.asked_again += 1
+            self._begin_tick()
+
+    def deactivate(self) -> None:
+        """End the run where it is."""
+        if self.state == "running":
+            self.state, self.detail = "incomplete", f"stopped at t = {seconds(self.time_ns):g} s"
+
+    # A tick.
+
+    def _begin_tick(self) -> None:
+        """Publish the measurement, which has been encoded ahead of time."""
+        self._published_at = time.monotonic_ns()
+        late = self.pacer.late_by(self._published_at)
+        if late is not None and self.tick:
+            self.lateness.add(late)
+        self._publish(self._measurement)
+        if self._truth:
+            self._publish_truth(self._truth)
+        if self.time_ns % CLOCK_PERIOD_NS == 0:
+            sec, nanosec = divmod(self.time_ns, NANOSECONDS)
+            self._publish_clock(
+                b"\x00\x01\x00\x00" + sec.to_bytes(4, "little") + nanosec.to_bytes(4, "little")
+            )
+
+    def _on_input(self) -> None:
+        """An input of this tick has come: with both, move at once."""
+        if self.torque.time_ns == self.disturbance.time_ns == self.time_ns and not self._moved:
+            self._moved = True
+            self.latencies.add(time.monotonic_ns() - self._published_at)
+            self._move()
+            self._go_on()
+
+    def _go_on(self) -> None:
+        """Where no clock has to be kept, end the tick as soon as it is done."""
+        if self.pacer.waits and self._ready():
+            self._end_tick()
+
+    def _ready(self) -> bool:
+        return self._moved and not self._finished and not self._recorder_behind()
+
+    def _recorder_behind(self) -> bool:
+        if not self.pacer.waits or self.recorder_window == 0:
+            return False
+        window = 0 if self.tick == self.scenario.last_tick else self.recorder_window
+        return self.time_ns - self._recorded_ns > window * self.scenario.dt_ns
+
+    def _poll(self, timeout_ns: int) -> None:
+        """Wait for the disturbance, which comes last, and take the torque with it."""
+        early = self.disturbance.time_ns == self.time_ns and not self._moved
+        self.plane.poll(timeout_ns, None if early or self._recorder_behind() else DISTURBANCE)
+
+    def _end_tick(self) -> None:
+        """Move with what there is if that has not been done; then begin the next tick."""
+        if not self._moved:
+            if self._missed(TORQUES, self.torque):  # the disturbance follows from the torque: one cause
+                self.misses.late_torque += 1
+            elif self._missed(DISTURBANCE, self.disturbance):
+                self.misses.late_disturbance += 1
+            self._move()
+        self.ticks += 1
+        if self._raised:
+            self._finish("diverged", self.time_ns, self._raised)
+        elif self.stage.reason:
+            self._finish(self.stage.status, self.time_ns + self.scenario.dt_ns, self.stage.reason)
+        elif self.tick == self.scenario.last_tick:
+            self._finish("completed", self.time_ns, "")
+        else:
+            self.tick += 1
+            self.time_ns = self.tick * self.scenario.dt_ns
+            self._moved = False
+            self._begin_tick()
+
+    def _missed(self, topic: Topic, newest: Input) -> bool:
+        """Whether an input has not come; none is expected of a topic without a publisher in this run."""
+        return newest.time_ns < self.time_ns and (newest.time_ns >= 0 or self.plane.has_publisher(topic))
+
+    def _move(self) -> None:
+        """Let the newest torque and disturbance act over the tick, and encode what is published next."""
+        if self.tick == self.scenario.last_tick:
+            return
+        begin = time.monotonic_ns()
+        d = TrueDisturbance(self.disturbance.value)
+        try:
+            if self._stop_safely(self.time_ns - self.torque.time_ns > self._torque_timeout_ns):
+                self.stage.safe_stop(self.time_ns, d)
+            else:
+                self.stage.step(self.time_ns, self.torque.value, d)
+        except (ArithmeticError, ValueError) as error:
+            self._raised = str(error) or type(error).__name__
+        held = self.disturbance.time_ns != self.time_ns  # then its topic does not tell what has acted
+        self._encode(self.time_ns + self.scenario.dt_ns, reveal=held or self.scenario.hidden)
+        self.times.add(time.monotonic_ns() - begin)
+
+    def _stop_safely(self, overdue: bool) -> bool:
+        """Count and tell when the torque is overdue (real time only), and when it is fresh again."""
+        if overdue != self.stopping_safely:
+            self.stopping_safely = overdue
+            self.safe_stops += overdue
+            what = "safe stop: no fresh torque" if overdue else "safe stop ends: fresh torque"
+            self.get_logger().warning(f"tick {self.tick}: {what}")
+        self.safe_stop_ticks += overdue
+        return overdue
+
+    def _encode(self, time_ns: int, *, reveal: bool) -> None:
+        """Encode the measurement of a tick and, if wanted, the true motion and joint torque."""
+        self._measurement = self.codec.state.encode(time_ns, *self.stage.measure())
+        self._truth = b""
+        if reveal:
+            q, v = self.stage.motion
+            self._truth = self.codec.state.encode(time_ns, q, v, self.stage.state.joint_torque)
+
+    def _finish(self, state: str, time_ns: int, reason: str) -> None:
+        t = seconds(time_ns)
+        self.state = state
+        self.detail = f"at t = {t:g} s: {reason}" if reason else f"{t:g} s"
+        self.ended_at = t if state in ENDED_EARLY else None
+        self.elapsed = time.monotonic() - self._began
+        self.get_logger().info(f"{self.state}: {self.detail}")
+        self._finished = True
+        self.plane.serve(self.trigger_deactivate)
+
+    # Messages.
+
+    def _handler(self, topic: Topic) -> Callable[[bytes, int], None]:
         def handle(data: bytes, published_ns: int) -> None:
             if not self.active:
                 return
             sample = self.decode(topic, data, ("effort",))
             if sample is None:
                 return
+            newest = self.torque if topic is TORQUES else self.disturbance
             time_ns, value = sample.time_ns, sample.effort
-            if latest["time_ns"] < time_ns <= self.time_ns:
-                latest["time_ns"], latest["value"] = time_ns, value
+            if newest.time_ns < time_ns <= self.time_ns:
+                newest.time_ns, newest.value = time_ns, value
                 if time_ns == self.time_ns:
                     self._on_input()
             elif time_ns > self.time_ns:
                 self.refuse(topic, "future", f"t = {seconds(time_ns):g} s has not come yet")
-            elif time_ns == latest["time_ns"] and value == latest["value"]:
+            elif time_ns == newest.time_ns and value == newest.value:
                 self.repeated += 1
-            elif time_ns == latest["time_ns"]:
+            elif time_ns == newest.time_ns:
                 self.refuse(topic, "conflicting", f"another value for t = {seconds(time_ns):g} s")
             else:
                 self.refuse(topic, "stale", f"t = {seconds(time_ns):g} s after a later tick")
@@ -97,160 +284,7 @@ class PlantNode(SuiteNode):
         if self.active:
             self._go_on()
 
-    def configure(self) -> None:
-        """The robot at its initial state."""
-        self.stage = self.scenario.plant_stage()
-        self.misses = Misses()
-        self.pacer = PACERS[self.mode](self.scenario.dt_ns, misses=self.misses)
-        self.tick = 0
-        self.time_ns = 0
-        self._recorded_ns = -1
-        for latest in self._inputs.values():
-            latest.update(time_ns=-1, value=(0.0,) * self.scenario.robot.joints)
-        self.latencies = Durations()
-        self.lateness = Durations()
-        self.times = Durations()
-        self._answered = False
-        self._finished = False
-        self._published_at = 0
-        self.asked_again = 0
-        self.repeated = 0
-        """Inputs that came again for their tick, the same."""
-        self.stopping_safely = False
-        self.safe_stops = self.safe_stop_ticks = 0
-        self._raised = ""
-        """What the robot's equations raised: it was driven out of their domain."""
-
-    def activate(self) -> None:
-        """Begin at tick 0."""
-        self.configure()
-        self.state, self.detail = "running", ""
-        self._publish_scenario(String(data=self.scenario.to_yaml()))
-        self._began = time.monotonic()
-        self.elapsed = 0.0
-        self._prepare(0)
-        self._publish_measurement()
-        self.pacer.begin()
-
-    def deactivate(self) -> None:
-        """End the run where it is."""
-        if self.state == "running":
-            self.state, self.detail = "incomplete", f"stopped at t = {seconds(self.time_ns):g} s"
-
-    def step(self) -> None:
-        """One round: wait for the end of the tick, go on to the next."""
-        if self._finished or not self.active:
-            self.plane.poll(POLL_NS)
-        elif self.pacer.wait(self._ready, self._poll):
-            self._end_of_tick()
-        elif time.monotonic_ns() - self._published_at > ASK_AGAIN_NS and not self._answered:
-            self.asked_again += 1
-            self._publish_measurement()
-
-    def _poll(self, timeout_ns: int) -> None:
-        """Wait for the disturbance, which comes last, and take the torque with it."""
-        early = self._inputs[DISTURBANCE]["time_ns"] == self.time_ns and not self._answered
-        self.plane.poll(timeout_ns, None if early or self._recorder_behind() else DISTURBANCE)
-
-    def _ready(self) -> bool:
-        return self._answered and not self._finished and not self._recorder_behind()
-
-    def _recorder_behind(self) -> bool:
-        if self.mode != "lockstep" or self.recorder_window == 0:
-            return False
-        window = 0 if self.tick == self.scenario.last_tick else self.recorder_window
-        return self.time_ns - self._recorded_ns > window * self.scenario.dt_ns
-
-    def _on_input(self) -> None:
-        """An input of this tick has come: with both, integrate at once, ahead of the deadline."""
-        torque, disturbance = (self._inputs[t]["time_ns"] == self.time_ns for t in (TORQUES, DISTURBANCE))
-        if torque and disturbance and not self._answered:
-            self._answered = True
-            self.latencies.add(time.monotonic_ns() - self._published_at)
-            self._integrate()
-            self._go_on()
-
-    def _go_on(self) -> None:
-        """In lockstep nothing else has to be waited for: end the tick at once."""
-        if self.mode == "lockstep" and self._ready():
-            self._end_of_tick()
-
-    def _integrate(self) -> None:
-        if self.tick < self.scenario.last_tick:
-            begin = time.monotonic_ns()
-            torque, d = self._inputs[TORQUES], TrueDisturbance(self._inputs[DISTURBANCE]["value"])
-            try:
-                if self._stop_safely(self.time_ns - torque["time_ns"] > self._torque_timeout_ns):
-                    self.stage.safe_stop(d)
-                else:
-                    self.stage.step(torque["value"], d)
-            except (ArithmeticError, ValueError) as error:
-                self._raised = str(error)
-            self._prepare(self.time_ns + self.scenario.dt_ns)
-            self.times.add(time.monotonic_ns() - begin)
-
-    def _stop_safely(self, overdue: bool) -> bool:
-        """Count and tell when the torque is overdue (real time only), and when it is fresh again."""
-        if overdue != self.stopping_safely:
-            self.stopping_safely = overdue
-            self.safe_stops += overdue
-            what = "safe stop: no fresh torque" if overdue else "safe stop ends: fresh torque"
-            self.get_logger().warning(f"tick {self.tick}: {what}")
-        self.safe_stop_ticks += overdue
-        return overdue
-
-    def _end_of_tick(self) -> None:
-        if not self._answered:  # real time only: hold the newest torque and disturbance
-            if self._missed(TORQUES):  # the disturbance follows from the torque: one cause, not two
-                self.misses.late_torque += 1
-            elif self._missed(DISTURBANCE):
-                self.misses.late_disturbance += 1
-            self._integrate()
-        self.ticks += 1
-        if self._raised:
-            self._finish("diverged", f"at t = {seconds(self.time_ns):g} s: {self._raised}")
-        elif self.stage.reason:
-            after = seconds(self.time_ns + self.scenario.dt_ns)
-            self._finish(self.stage.status, f"at t = {after:g} s: {self.stage.reason}")
-        elif self.tick == self.scenario.last_tick:
-            self._finish("completed", f"{seconds(self.time_ns):g} s")
-        else:
-            self.tick += 1
-            self.time_ns = self.tick * self.scenario.dt_ns
-            self._answered = False
-            self._publish_measurement()
-
-    def _missed(self, topic: Topic) -> bool:
-        """Whether an input has not come; none is expected of a topic without a publisher in this run."""
-        newest = self._inputs[topic]["time_ns"]
-        return newest < self.time_ns and (newest >= 0 or self.plane.has_publisher(topic))
-
-    def _prepare(self, time_ns: int) -> None:
-        """Encode what is published at the beginning of a tick, ahead of it."""
-        stage = self.stage
-        self._measurement = self.codec.state.encode(time_ns, *stage.measure())
-        if self._publish_truth is not None:
-            self._truth = self.codec.motion.encode(time_ns, stage.position, stage.velocity)
-
-    def _publish_measurement(self) -> None:
-        self._published_at = time.monotonic_ns()
-        if isinstance(self.pacer, RealTime) and self.tick:
-            self.lateness.add(self._published_at - self.pacer.deadline + self.scenario.dt_ns)
-        self._publish(self._measurement)
-        if self._publish_truth is not None:
-            self._publish_truth(self._truth)
-        if self.time_ns % CLOCK_PERIOD_NS == 0:
-            sec, nanosec = divmod(self.time_ns, NANOSECONDS)
-            self._publish_clock(
-                b"\x00\x01\x00\x00" + sec.to_bytes(4, "little") + nanosec.to_bytes(4, "little")
-            )
-
-    def _finish(self, state: str, detail: str) -> None:
-        self.state, self.detail = state, detail
-        self.elapsed = time.monotonic() - self._began
-        self.get_logger().info(f"{state}: {detail}")
-        self._finished = True
-        self.plane.serve(self.trigger_deactivate)
+    # Diagnostics.
 
     def health(self) -> tuple[str, str, dict[str, Any]]:
         """State of the run, misses per cause, latency and jitter."""
@@ -266,9 +300,11 @@ class PlantNode(SuiteNode):
         safety = "safe_stop" if self.active and self.stopping_safely else "normal"
         if safety != "normal":
             level, message = "error", f"{message}, safe stop: no fresh torque"
+        ended = {} if self.ended_at is None else {"ended_at": repr(self.ended_at)}
         return level, message, {
             "state": self.state,
             "detail": self.detail,
+            **ended,
             "mode": self.mode,
             "tick": self.tick,
             "last_tick": self.scenario.last_tick,

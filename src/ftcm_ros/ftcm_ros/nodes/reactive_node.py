@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A node that answers: the observer, the controller and the injector."""
+"""A node that answers: the observer, the controller, the injector and the detector."""
 
 from __future__ import annotations
 
@@ -32,6 +32,8 @@ class ReactiveNode(SuiteNode):
         self.times = Durations()
         self.gaps = 0
         """Ticks skipped between two that were answered."""
+        self.elapsed = 1
+        """How many ticks after the last one that was answered this one is."""
         self.age_ns = 0
         """How long the oldest input of the last tick had waited, ns."""
         self._arrived = 0
@@ -94,8 +96,8 @@ class ReactiveNode(SuiteNode):
             self._incomplete = name == aligner.required[-1]
             return
         self._incomplete = False
-        if before is not None and time_ns - before > self.scenario.dt_ns:
-            self.gaps += (time_ns - before) // self.scenario.dt_ns - 1
+        self.elapsed = 1 if before is None else (time_ns - before) // self.scenario.dt_ns
+        self.gaps += self.elapsed - 1
         self._answer = self.answer(time_ns, values)
         for publish, data in self._answer:
             publish(data)

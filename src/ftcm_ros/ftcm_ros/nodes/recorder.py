@@ -16,7 +16,7 @@ from ftcm_core.signals import NANOSECONDS
 from ftcm_ros.bags.writer import Recording
 from ftcm_ros.nodes.main import run
 from ftcm_ros.nodes.suite_node import SuiteNode
-from ftcm_ros.transport.topics import DISTURBANCE, EVENTS, RECORDED, Topic, data_topics
+from ftcm_ros.transport.topics import DISTURBANCE, EVENTS, RECORDED, Topic, recorded_topics
 
 ACKNOWLEDGE_TICKS = 100
 """How often the recorder says how far it is."""
@@ -45,7 +45,7 @@ class RecorderNode(SuiteNode):
         self._flushed = 0.0
         self._lost = ""
         """Why the bag could not be written further."""
-        for topic in (*data_topics(self.scenario), *EVENTS):
+        for topic in recorded_topics(self.scenario):
             self.plane.subscribe(topic, self._handler(topic))
 
     def _handler(self, topic: Topic) -> Callable[[bytes, int], None]:

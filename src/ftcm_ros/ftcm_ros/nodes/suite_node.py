@@ -17,6 +17,7 @@ from rcl_interfaces.msg import ParameterDescriptor
 from rclpy.lifecycle import LifecycleNode, LifecycleState, TransitionCallbackReturn
 
 from ftcm_core.errors import FtcmError
+from ftcm_core.registry import load_plugins
 from ftcm_core.scenario import Scenario, load
 from ftcm_core.signals import NANOSECONDS, seconds
 from ftcm_ros.parameters.node_parameters import setting
@@ -45,10 +46,11 @@ class SuiteNode(LifecycleNode):
         """Declare the common parameters and read the scenario.
 
         Raises:
-            FtcmError: a parameter or the scenario is not valid.
+            FtcmError: a parameter, a plug-in or the scenario is not valid.
         """
         super().__init__(name)
         self._kind = name
+        load_plugins(name.strip() for name in self.setting("plugins").split(",") if name.strip())
         self.scenario: Scenario = load(self.setting("scenario"))
         self.autostart: bool = self.setting("autostart")
         self._await_graph: bool = self.setting("await_graph")

@@ -56,7 +56,7 @@ class ComponentParameters:
 
         Args:
             node: the node to declare on.
-            kind: ``controller`` or ``observer``.
+            kind: ``controller``, ``observer`` or ``detector``.
             initial: the scenario's component.
             joints: number of joints of the robot.
             on_change: called with the new component after a successful change.
@@ -110,7 +110,9 @@ class ComponentParameters:
             cls = find(self.kind, name)
             try:
                 built[name] = cls(**{s.name: value(f"{name}.{s.name}") for s in specs(cls).values()})
-                built[name].check_joints(self._joints)
+                # A default may be for another number of joints: that matters once the component is chosen.
+                given = {s for s in specs(cls) if f"{name}.{s}" in changes}
+                built[name].check_joints(self._joints, None if name == chosen else given)
             except FtcmError as error:
                 raise FtcmError(f"{name}.{error}") from None
         return built[chosen]

@@ -6,8 +6,17 @@ from __future__ import annotations
 from typing import Any, NamedTuple
 
 from ftcm_core.errors import FtcmError, suggestion
+from ftcm_core.scenario import Scenario
 
 NODES = ("plant", "observer", "controller", "injector", "recorder")
+"""Nodes of every run."""
+ALL_NODES = (*NODES, "detector")
+"""Nodes of the suite; a detector is there where the scenario has one."""
+
+
+def nodes_of(scenario: Scenario) -> tuple[str, ...]:
+    """Return the nodes of a run."""
+    return ALL_NODES if scenario.detector else NODES
 
 
 class Setting(NamedTuple):
@@ -31,6 +40,11 @@ class Setting(NamedTuple):
 
 _COMMON = (
     Setting("scenario", "paper", "scenario file, or the name of a shipped scenario"),
+    Setting(
+        "plugins",
+        "",
+        "Python files or modules with components, separated by commas; loaded at start: this runs their code",
+    ),
     Setting("autostart", True, "activate at start; false: wait for lifecycle transitions from outside"),
     Setting(
         "await_graph",
@@ -72,6 +86,7 @@ SETTINGS: dict[str, tuple[Setting, ...]] = {
     "observer": _COMMON,
     "controller": _COMMON,
     "injector": _COMMON,
+    "detector": _COMMON,
     "recorder": (
         *_COMMON,
         Setting("bag", "", "folder of the bag to make, which must not exist; empty: ftcm-DATE-TIME"),

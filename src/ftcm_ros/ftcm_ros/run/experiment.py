@@ -18,6 +18,7 @@ from pathlib import Path
 from typing import Any
 
 from ftcm_core.errors import FtcmError
+from ftcm_core.registry import load_plugins
 from ftcm_core.scenario import load
 from ftcm_ros.parameters.node_parameters import setting
 from ftcm_ros.run.external_nodes import AmbientDomain
@@ -52,6 +53,13 @@ def build_parser() -> argparse.ArgumentParser:
     )
     parser.add_argument(
         "--set", action="append", default=[], metavar="PATH=VALUE", help="e.g. observer.k1=10000"
+    )
+    parser.add_argument(
+        "--plugin",
+        action="append",
+        default=[],
+        metavar="FILE",
+        help="load components from a Python file or module first; this runs its code, in every node too",
     )
     parser.add_argument("--name", help="name of the run; default: scenario and time")
     parser.add_argument("--runs", type=Path, default=Path("runs"), help="folder for runs (default: runs)")
@@ -93,6 +101,7 @@ def run_experiment(options: argparse.Namespace) -> int:
     """
     if not options.patience >= 2.0:  # nodes speak once a second
         raise FtcmError(f"--patience {options.patience:g} is too short; expected 2 s or more")
+    load_plugins(options.plugin)
     names = options.controllers or (PAPER_CONTROLLERS if options.scenario == "paper" else [None])
     scenarios = [load(options.scenario, options.set, controller=n) for n in names]
     labels = [s.controller.type_name for s in scenarios]

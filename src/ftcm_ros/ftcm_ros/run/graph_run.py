@@ -17,9 +17,10 @@ import rclpy
 from diagnostic_msgs.msg import DiagnosticArray
 
 from ftcm_core.errors import FtcmError
+from ftcm_core.recording.trace import ENDED_EARLY
+from ftcm_core.registry import plugins
 from ftcm_core.scenario import Scenario
-from ftcm_core.trace import ENDED_EARLY
-from ftcm_ros.parameters.node_parameters import NODES
+from ftcm_ros.parameters.node_parameters import nodes_of
 from ftcm_ros.run.external_nodes import AmbientDomain, ExternalNodes
 from ftcm_ros.run.lifecycle import Managed, drive
 from ftcm_ros.run.local_nodes import LocalNodes, describe_exit
@@ -34,7 +35,7 @@ STOP_SECONDS = 3.0
 """How long nodes may take to end their part of a run, s."""
 CLOSE_SECONDS = 15.0
 """How long the recorder may take to close the bag, s."""
-MATCHING_ORDER = ("observer", "controller", "injector", "plant", "recorder")
+MATCHING_ORDER = ("observer", "controller", "injector", "plant", "detector", "recorder")
 """Order of configuration: that of the tick, so that each message reaches first who acts on it next."""
 RECORDER_WINDOW = 1000
 """Ticks the plant may run ahead of the recorder in lockstep."""
@@ -57,6 +58,7 @@ class Run:
     ) -> None:
         """Prepare folders and processes; nothing is started yet."""
         self.scenario, self.label, self.folder, self.options = scenario, label, folder, options
+        self.nodes = nodes_of(scenario)
         self.bag = folder / "bags" / label
         self.logs = folder / "logs" / label
         self.processes: LocalNodes | ExternalNodes
@@ -85,7 +87,7 @@ class Run:
             Interrupted: the user stopped it.
         """
         self.node = node = join_as("experiment")
-        self.managed = {name: Managed(node, name) for name in NODES}
+        self.managed = {name: Managed(node, name) for name in self.nodes}
         node.create_subscription(DiagnosticArray, DIAGNOSTICS.name, self._on_diagnostics, 100)
         began = time.monotonic()
         try:
@@ -97,7 +99,7 @@ class Run:
             finally:
                 self.timing["run_seconds"] = round(time.monotonic() - began, 3)
                 self._close_bag()
-            self._deactivate(CHAIN, STOP_SECONDS)
+            self._deactivate(tuple(n for n in CHAIN if n in self.nodes), STOP_SECONDS)
         finally:
             codes = self.processes.stop()
             node.destroy_node()
@@ -118,6 +120,7 @@ class Run:
         scenario_file.write_text(self.scenario.to_yaml(), encoding="utf-8")
         common = {
             "scenario": str(scenario_file.resolve()),
+            "plugins": ",".join(plugins()),
             "autostart": False,
             "await_graph": True,
             "data_path": self.options.data_path,
@@ -130,11 +133,12 @@ class Run:
             "recorder": {"bag": str(self.bag.resolve()), "storage": self.options.storage},
         }
         self.bag.parent.mkdir(parents=True, exist_ok=True)
-        for name in NODES:
+        for name in self.nodes:
             self.processes.start(name, {**common, **extra.get(name, {})})
         for name in MATCHING_ORDER:
-            self.transition("configure", (name,))
-        others = tuple(n for n in NODES if n != "plant")
+            if name in self.nodes:
+                self.transition("configure", (name,))
+        others = tuple(n for n in self.nodes if n != "plant")
         self.transition("activate", others)
         self.transition("activate", ("plant",))
 
@@ -157,7 +161,7 @@ class Run:
     def _on_diagnostics(self, message: DiagnosticArray) -> None:
         for status in message.status:
             name, _, what = status.name.partition(":")
-            if name in NODES and what.strip() == "tick":
+            if name in self.nodes and what.strip() == "tick":
                 health = {"message": status.message, **{v.key: v.value for v in status.values}}
                 if (refused := health.get("not_permitted", "")) not in self._told:
                     self._told.add(refused)
@@ -177,7 +181,7 @@ class Run:
             FtcmError: a node has ended or stopped working.
             Interrupted: the user stopped it.
         """
-        self.watchdog = Watchdog(self.options.mode == "lockstep", self.options.patience)
+        self.watchdog = Watchdog(self.options.mode == "lockstep", self.options.patience, nodes=self.nodes)
         while True:
             self._spin()
             plant = self.health.get("plant", {})

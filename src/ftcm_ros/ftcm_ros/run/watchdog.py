@@ -4,11 +4,11 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 
 from ftcm_ros.parameters.node_parameters import NODES
 
-CHAIN = ("observer", "controller", "injector")
+CHAIN = ("observer", "controller", "injector", "detector")
 """The nodes that answer, in the order of the tick."""
 REPORT_SECONDS = 1.5
 """How much longer to wait before a node is blamed for ticks that have ceased, s.
@@ -25,22 +25,30 @@ Such a time does not count as silence of a node.
 class Watchdog:
     """Names the node to blame when one falls silent or the ticks cease."""
 
-    def __init__(self, lockstep: bool, patience: float, clock: Callable[[], float] = time.monotonic) -> None:
+    def __init__(
+        self,
+        lockstep: bool,
+        patience: float,
+        clock: Callable[[], float] = time.monotonic,
+        nodes: Sequence[str] = NODES,
+    ) -> None:
         """Begin now.
 
         Args:
             lockstep: whether the plant waits for the others.
             patience: how long a node may be silent, or make no tick, s.
             clock: steady time, s.
+            nodes: the nodes of the run.
         """
+        self._nodes = tuple(nodes)
         self.lockstep = lockstep
         self.patience = patience
         self._clock = clock
         now = self._looked = clock()
-        self._heard = dict.fromkeys(NODES, now)
-        self._moved = dict.fromkeys(NODES, now)
+        self._heard = dict.fromkeys(self._nodes, now)
+        self._moved = dict.fromkeys(self._nodes, now)
         """When each node's count of ticks last changed."""
-        self._ticks = dict.fromkeys(NODES, -1)
+        self._ticks = dict.fromkeys(self._nodes, -1)
 
     def hear(self, node: str, ticks: int) -> None:
         """Take in that a node has done so many ticks."""
@@ -62,9 +70,9 @@ class Watchdog:
                     times[node] += away
         silent = min(self._heard, key=self._heard.__getitem__)
         if now - self._heard[silent] > self.patience:
-            silent = next((n for n in NODES if is_stopped(n)), silent)
+            silent = next((n for n in self._nodes if is_stopped(n)), silent)
             return silent, f"has said nothing for {self.patience:g} s"
-        stalled = [n for n in NODES if now - self._moved[n] > self.patience]
+        stalled = [n for n in self._nodes if now - self._moved[n] > self.patience]
         if stalled and now - min(self._moved.values()) > self.patience + REPORT_SECONDS:
             return self._blame(stalled), f"has made no tick for {self.patience:g} s"
         return "", ""
@@ -76,7 +84,7 @@ class Watchdog:
         if not self.lockstep:  # the plant waits for nobody
             return "plant"
         done = self._ticks["plant"]
-        waited_for = [n for n in CHAIN if self._ticks[n] <= done]
+        waited_for = [n for n in CHAIN if n in self._ticks and self._ticks[n] <= done]
         if not waited_for and self._ticks["recorder"] < done:
             return "recorder"
         return waited_for[0] if waited_for else "plant"

@@ -10,6 +10,7 @@ import time
 from abc import ABC, abstractmethod
 from collections.abc import Callable
 from dataclasses import dataclass, field, fields
+from typing import ClassVar
 
 from ftcm_core.signals import NANOSECONDS
 
@@ -50,6 +51,8 @@ class Pacer(ABC):
     clock: Callable[[], int] = time.monotonic_ns
     """Steady clock, ns."""
     misses: Misses = field(default_factory=Misses)
+    waits: ClassVar[bool] = False
+    """Whether a tick waits for its messages, however late they are, and for the recorder."""
 
     @abstractmethod
     def begin(self) -> None:
@@ -68,10 +71,16 @@ class Pacer(ABC):
             look at other things now and then.
         """
 
+    def late_by(self, now: int) -> int | None:
+        """How late a tick begins that begins now (steady clock, ns), ns; None without a clock to keep."""
+        del now
+        return None
+
 
 class Lockstep(Pacer):
     """A tick ends when its torque and disturbance are here, however long that takes."""
 
+    waits: ClassVar[bool] = True
     patience_ns: int = NANOSECONDS // 50
 
     def begin(self) -> None:
@@ -101,6 +110,10 @@ class RealTime(Pacer):
     def begin(self) -> None:
         """The first deadline is one tick from now."""
         self.deadline = self.clock() + self.dt_ns
+
+    def late_by(self, now: int) -> int:
+        """A tick begins at the deadline of the one before."""
+        return now - self.deadline + self.dt_ns
 
     def wait(self, ready: Ready, poll: Poll) -> bool:
         """Take messages in until the deadline; with nothing to come any more, look at the clock at last."""

@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Signals to and from ``sensor_msgs/JointState`` in CDR, without message objects on the tick path.
 
-The suite's own messages have one of three fixed layouts (which arrays are filled), encoded and
+The suite's own messages have one of four fixed layouts (which arrays are filled), encoded and
 decoded with one :mod:`struct` call. Any other JointState (another joint order, extra joints, another
 byte order) is read by rosbags and its joints are taken by name, or it is refused with the reason.
 """
@@ -153,7 +153,10 @@ class JointStateCodec:
         """reference: position and velocity."""
         self.torque = Layout(joint_names, (False, False, True))
         """joint_torques, disturbance, disturbance_estimate: effort."""
-        self._by_size = {layout.size: layout for layout in (self.state, self.motion, self.torque)}
+        self.detection = Layout(joint_names, (True, False, True))
+        """detection: alarms as position, residuals as effort."""
+        self.layouts = (self.state, self.torque, self.motion, self.detection)
+        """All of the suite's own."""
         typestore().get_msgdef(JOINT_STATE)  # now: no message of the general path is to wait for it
 
     def decode(self, data: bytes) -> JointSample:
@@ -162,10 +165,8 @@ class JointStateCodec:
         Raises:
             CodecError: it cannot be decoded, lacks a joint, or an array has another length.
         """
-        layout = self._by_size.get(len(data))
-        if layout is not None:
-            sample = layout.decode(data)
-            if sample is not None:
+        for layout in self.layouts:
+            if layout.size == len(data) and (sample := layout.decode(data)) is not None:
                 return sample
         return self._decode_by_name(data)
 

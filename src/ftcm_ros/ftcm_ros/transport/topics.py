@@ -6,6 +6,7 @@ from __future__ import annotations
 from typing import NamedTuple
 
 from ftcm_core.scenario import Scenario
+from ftcm_core.signals import CHANNELS, COLUMNS, Channel, channels
 from ftcm_ros.transport.codec import JOINT_STATE
 
 DEPTH = 4000
@@ -26,52 +27,33 @@ class Topic(NamedTuple):
     depth: int = DEPTH
 
 
-JOINT_STATES = Topic(
-    "joint_states",
-    JOINT_STATE,
-    ("plant",),
-    ("observer", "controller", "injector", "recorder"),
-    "position rad, velocity rad/s, effort N·m: the torque applied over the tick that ended at the stamp",
-)
-ESTIMATE = Topic(
-    "disturbance_estimate",
-    JOINT_STATE,
-    ("observer",),
-    ("controller", "recorder"),
-    "effort N·m: the observer's estimate tau_hat = M(q) Δ̂",
-)
-TORQUES = Topic(
-    "joint_torques",
-    JOINT_STATE,
-    ("controller",),
-    ("plant", "injector", "recorder"),
-    "effort N·m: the commanded torque u",
-)
-DISTURBANCE = Topic(
-    "disturbance",
-    JOINT_STATE,
-    ("injector",),
-    ("plant", "recorder"),
-    "effort N·m: the torque added to the plant's input, faults minus friction and disturbance",
-)
-REFERENCE = Topic(
-    "reference",
-    JOINT_STATE,
-    ("controller",),
-    ("recorder",),
-    "position rad, velocity rad/s: desired motion",
-)
-TRUE_STATE = Topic(
-    "true_state",
-    JOINT_STATE,
-    ("plant",),
-    ("injector", "recorder"),
-    "position rad, velocity rad/s: the true motion; only where the scenario's sensor is not ideal",
-)
+def _data_topic(channel: Channel) -> Topic:
+    """Topic of a channel of the core, which declares its writer, its readers and its arrays."""
+    arrays = ("position", "velocity", "effort")
+    said = [
+        f"{array} {COLUMNS[name].unit}: {COLUMNS[name].meaning}"
+        for array, name in zip(arrays, channel.columns)
+        if name
+    ]
+    return Topic(
+        channel.topic, JOINT_STATE, (channel.writer,), (*channel.readers, "recorder"), "; ".join(said)
+    )
+
+
+_BY_NAME = {channel.topic: _data_topic(channel) for channel in CHANNELS}
+JOINT_STATES = _BY_NAME["joint_states"]
+ESTIMATE = _BY_NAME["disturbance_estimate"]
+TORQUES = _BY_NAME["joint_torques"]
+DISTURBANCE = _BY_NAME["disturbance"]
+REFERENCE = _BY_NAME["reference"]
+TRUE_STATE = _BY_NAME["true_state"]
+"""In every tick where something hides the true motion or torque (``Scenario.hidden``); else only after a tick
+in which another disturbance acted than the one of that tick."""
+DETECTION = _BY_NAME["detection"]
 CHANGES = Topic(
     "component_changes",
     _ARRAY,
-    ("controller", "observer"),
+    ("controller", "observer", "detector"),
     ("recorder",),
     "the component in force and its parameters, stamped with its first tick",
     latched=True,
@@ -89,7 +71,7 @@ SCENARIO = Topic(
 DIAGNOSTICS = Topic(
     "/diagnostics",
     _ARRAY,
-    ("plant", "observer", "controller", "injector", "recorder"),
+    ("plant", "observer", "controller", "injector", "detector", "recorder"),
     ("recorder",),
     "health of each node, once a second",
     depth=100,
@@ -111,21 +93,26 @@ CLOCK = Topic(
     depth=10,
 )
 
-DATA = (JOINT_STATES, ESTIMATE, TORQUES, DISTURBANCE, REFERENCE)
-"""One message per tick each."""
 EVENTS = (CHANGES, SCENARIO, DIAGNOSTICS)
-"""Recorded besides."""
-TOPICS = (*DATA, TRUE_STATE, *EVENTS, RECORDED, CLOCK)
+"""Recorded besides the data topics."""
+TOPICS = (*_BY_NAME.values(), *EVENTS, RECORDED, CLOCK)
 """All topics of the suite."""
 
 
 def data_topics(scenario: Scenario | None) -> tuple[Topic, ...]:
-    """Topics with one message per tick in a run of this scenario."""
-    return DATA if scenario is None or scenario.sensor.exact else (*DATA, TRUE_STATE)
+    """Topics with one message per tick in a run of this scenario; if that is unknown, those of every run."""
+    there = scenario.channels if scenario else channels(hidden=False, detector=False)
+    return tuple(_BY_NAME[channel.topic] for channel in there)
+
+
+def recorded_topics(scenario: Scenario) -> tuple[Topic, ...]:
+    """Topics that the recorder subscribes."""
+    return tuple(dict.fromkeys((*data_topics(scenario), TRUE_STATE, *EVENTS)))
 
 
 def subscribers(topic: Topic, scenario: Scenario) -> tuple[str, ...]:
     """Nodes of the suite that subscribe a topic in a run of this scenario."""
-    if topic is JOINT_STATES and not scenario.sensor.exact:  # the injector acts on the true motion
-        return tuple(n for n in topic.subscribers if n != "injector")
-    return topic.subscribers
+    for channel in scenario.channels:
+        if channel.topic == topic.name:
+            return (*channel.readers, "recorder")
+    return ("recorder",) if topic in (TRUE_STATE, DETECTION) else topic.subscribers

@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 
-from ftcm_core.trace import Array, Trace
+from ftcm_core.recording.trace import Array, Trace
 
 SETTLING_BAND = 1e-3
 """Band of the settling time, rad (chosen: 0.06 deg)."""
@@ -188,6 +188,7 @@ def result(trace: Trace) -> dict[str, Any]:
         "observer": scenario.observer.type_name if scenario else None,
         "status": trace.status,
         "detail": trace.detail,
+        "ended_at": trace.ended_at,
         "ticks": trace.ticks,
         "first_torque": _finite(first),
         "settling_time_bound": _finite(np.array(bounds, dtype=np.float64)),

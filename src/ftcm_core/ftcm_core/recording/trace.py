@@ -7,6 +7,7 @@ The same type whether the run was simulated in process or read back from a bag.
 from __future__ import annotations
 
 import dataclasses
+from collections.abc import Callable
 from functools import cached_property
 from typing import Any
 
@@ -16,23 +17,9 @@ import numpy.typing as npt
 from ftcm_core.controllers import Controller
 from ftcm_core.robots import Robot
 from ftcm_core.scenario import Scenario
+from ftcm_core.signals import COLUMNS
 
 Array = npt.NDArray[np.float64]
-
-COLUMNS = {
-    "position": "rad",
-    "velocity": "rad/s",
-    "effort": "N·m",
-    "disturbance_estimate": "N·m",
-    "command": "N·m",
-    "disturbance": "N·m",
-    "reference_position": "rad",
-    "reference_velocity": "rad/s",
-}
-"""Recorded columns and their units: arrays of shape (ticks, joints)."""
-
-MEASURED = {"measured_position": "rad", "measured_velocity": "rad/s"}
-"""Further columns of a run whose sensor is not ideal: what observer and controller were given."""
 
 ENDED_EARLY = ("diverged", "limit_exceeded")
 """Statuses of a run that the plant could not go on with."""
@@ -44,16 +31,17 @@ class Change:
 
     tick: int
     kind: str
-    """``controller`` or ``observer``."""
+    """``controller``, ``observer`` or ``detector``."""
     component: Any
 
 
 @dataclasses.dataclass(frozen=True)
 class Trace:
-    """One run. Columns are float64 arrays of shape (ticks, joints), units in :data:`COLUMNS`.
+    """One run. Columns are float64 arrays of shape (ticks, joints), see :data:`~ftcm_core.signals.COLUMNS`.
 
-    A column that a bag does not have, or a tick missing in it, is NaN. Position and velocity are the true
-    motion, and so are the errors taken from them; a source that knows only the measured motion gives that.
+    A column that a bag does not have, or a tick missing in it, is NaN; a column that the run does not have is
+    None. Position and velocity are the true motion, and so are the errors taken from them; a source that
+    knows only the measured motion gives that.
     """
 
     joint_names: tuple[str, ...]
@@ -64,21 +52,35 @@ class Trace:
     position: Array
     velocity: Array
     effort: Array
-    """Torque applied over the tick that ended at t_k, after limits."""
     disturbance_estimate: Array
     command: Array
     disturbance: Array
     reference_position: Array
     reference_velocity: Array
     measured_position: Array | None = None
-    """None where the sensor was ideal, or what it measured was not kept."""
     measured_velocity: Array | None = None
+    joint_torque: Array | None = None
+    """None where the torque on the joints was effort and disturbance as recorded."""
+    residual: Array | None = None
+    alarm: Array | None = None
     scenario: Scenario | None = None
     status: str = "completed"
     """``completed``, ``diverged``, ``limit_exceeded``, or ``incomplete`` (ended before its duration)."""
     detail: str = ""
     """Why a run did not complete, with the time."""
+    ended_at: float | None = None
+    """When a run ended early, s."""
     changes: tuple[Change, ...] = ()
+    engine: str = "plain"
+    """How it was run: ``plain``, ``compiled``, or ``graph`` for one that was recorded."""
+    accelerations: Callable[[Array, Array], Array] | None = None
+    """M(q)^-1 tau of the model, compiled: of positions (rad) and torques (N·m), row by row."""
+
+    @property
+    def columns(self) -> dict[str, Array]:
+        """The columns that this run has, by name, in the order of :data:`~ftcm_core.signals.COLUMNS`."""
+        found = {name: getattr(self, name) for name in COLUMNS}
+        return {name: values for name, values in found.items() if values is not None}
 
     @property
     def ticks(self) -> int:
@@ -101,9 +103,9 @@ class Trace:
         return self.velocity - self.reference_velocity
 
     @property
-    def robot(self) -> Robot | None:
-        """The robot model, if the run says which."""
-        return self.scenario.robot if self.scenario else None
+    def model(self) -> Robot | None:
+        """What observer and controller believe of the robot, if the run says so."""
+        return self.scenario.model if self.scenario else None
 
     def controllers(self) -> list[tuple[int, int, Controller]]:
         """Return the controllers in force as (first row, row after the last, controller)."""
@@ -130,8 +132,22 @@ class Trace:
 
     @cached_property
     def lumped_uncertainty(self) -> Array:
-        """True Δ = -M(q)^-1 disturbance (eq 6), rad/s²; NaN without a robot model."""
-        return self._as_acceleration(self.position, -self.disturbance)
+        """True Δ (eq 6), rad/s²: acceleration by the model less the true one; NaN without a model.
+
+        Where the plant is the model and nothing is hidden, it is -M(q)^-1 disturbance. Elsewhere it is taken
+        from the motion: what the model would make of the torque that the drives report, less the change of
+        the velocity over the tick; in the last tick, that of the one before.
+        """
+        scenario = self.scenario
+        if scenario is None or self.ticks < 2:
+            return np.full_like(self.disturbance, np.nan)
+        if self.joint_torque is None and scenario.model == scenario.robot and scenario.exact_engine:
+            return self._as_acceleration(self.position, -self.disturbance)
+        rows = zip(self.position[:-1].tolist(), self.velocity[:-1].tolist(), self.effort[1:].tolist())
+        forward = scenario.model.forward_dynamics
+        believed = np.array([forward(tuple(q), tuple(v), tuple(u)) for q, v, u in rows])
+        found = believed - np.diff(self.velocity, axis=0) / self.dt
+        return np.vstack([found, found[-1:]])
 
     @cached_property
     def lumped_uncertainty_estimate(self) -> Array:
@@ -140,8 +156,10 @@ class Trace:
         return self._as_acceleration(seen, self.disturbance_estimate)
 
     def _as_acceleration(self, position: Array, torque: Array) -> Array:
-        robot = self.robot
-        if robot is None:
+        if self.model is None:
             return np.full_like(torque, np.nan)
+        if self.accelerations is not None:
+            return self.accelerations(position, np.ascontiguousarray(torque))
         rows = zip(position.tolist(), torque.tolist())
-        return np.array([robot.inertia_acceleration(q, tau) for q, tau in rows]).reshape(torque.shape)
+        convert = self.model.inertia_acceleration
+        return np.array([convert(tuple(q), tuple(tau)) for q, tau in rows]).reshape(torque.shape)

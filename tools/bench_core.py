@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Speed of the core: ``python -m ftcm_core.benchmark [--json] [--quick]``.
+"""Speed of the core: ``python tools/bench_core.py [--json] [--quick]``.
 
 Every row is the median of several repetitions with the smallest and the largest, all measured in one process
 and taken in turns, so that a change of the machine's load meets all rows alike. Rows of Pinocchio and MuJoCo
@@ -23,11 +23,12 @@ from typing import Any, cast
 import numpy as np
 
 from ftcm_core import campaign, compiled
-from ftcm_core.provenance import provenance
+from ftcm_core.plants.rigid_body import Motion, RigidBody, rk4
+from ftcm_core.recording.provenance import provenance
 from ftcm_core.report.results import to_json
 from ftcm_core.robots import Robot
-from ftcm_core.robots.puma560 import IM1, IM2, IM3
-from ftcm_core.scenario import Scenario, load
+from ftcm_core.robots.puma560 import Puma560
+from ftcm_core.scenario import Scenario, load, replace
 from ftcm_core.signals import Vector
 from ftcm_core.simulation import Loop, simulate
 
@@ -49,7 +50,7 @@ def main(argv: list[str] | None = None) -> int:
     Args:
         argv: arguments; those of the process by default.
     """
-    parser = argparse.ArgumentParser(prog="python -m ftcm_core.benchmark", description="Speed of the core.")
+    parser = argparse.ArgumentParser(prog="python tools/bench_core.py", description="Speed of the core.")
     parser.add_argument("--json", action="store_true", help="print one JSON object")
     parser.add_argument(
         "--quick", action="store_true", help="fewer repetitions; a campaign of 50 runs, scaled"
@@ -175,28 +176,31 @@ def _row(name: str, samples: list[float], unit: str) -> dict[str, Any]:
     }  # fmt: skip
 
 
-class _Replaced:
-    """A robot with other forward dynamics."""
+class _Dynamics:
+    """What the integrator asks of a robot, by another library."""
 
-    def __init__(self, robot: Robot, step: Step) -> None:
-        self._robot = robot
+    def __init__(self, step: Step) -> None:
         self.forward_dynamics = step
-
-    def __getattr__(self, name: str) -> Any:
-        return getattr(self._robot, name)
 
 
 def loop_with(scenario: Scenario, step: Step) -> Loop:
     """Return the loop with other forward dynamics in the plant; observer and controller keep their model."""
-    loop = Loop(scenario)
-    loop.plant.robot = cast(Robot, _Replaced(scenario.robot, step))
-    return loop
+    dynamics = cast(Robot, _Dynamics(step))
+
+    class Engine(RigidBody):
+        """The plant by another library."""
+
+        def step(self, robot: Robot, dt: float, torque: Vector, state: Motion) -> Motion:
+            """One step, whatever the scenario's robot is."""
+            return rk4(dynamics, dt, *state, torque)
+
+    return Loop(replace(scenario, plant=Engine()))
 
 
 def _others() -> dict[str, Step]:
     """Forward dynamics of the rigid-body libraries that are installed, from tuples to a tuple."""
     found: dict[str, Step] = {}
-    rotor = np.array((IM1, IM2, IM3))
+    rotor = np.array(Puma560().motor_inertia)
     if importlib.util.find_spec("pinocchio"):
         found["pinocchio"] = _pinocchio(rotor)
     if importlib.util.find_spec("mujoco"):

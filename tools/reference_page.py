@@ -1,27 +1,26 @@
 # SPDX-License-Identifier: Apache-2.0
 """The reference page of every component and its parameters, generated from the registry.
 
-``python -m ftcm_core.report.reference docs/`` writes ``docs/reference.md``; with ``--check`` it exits with 1
+``python tools/reference_page.py docs/`` writes ``docs/reference.md``; with ``--check`` it exits with 1
 if the page is out of date.
 """
 
 from __future__ import annotations
 
-import argparse
 import sys
-from collections.abc import Iterable, Sequence
-from pathlib import Path
+from collections.abc import Iterable
 from typing import Any
 
 from ftcm_core.params import ParamSpec, specs
-from ftcm_core.registry import KINDS, components
+from ftcm_core.registry import KINDS, components, summary
 from ftcm_core.scenario import InitialState, Scenario
+from topics_page import write_or_check
 
 FILE = "reference.md"
 
 _INTRO = """# Reference
 
-Generated from the code by `python -m ftcm_core.report.reference docs/`; do not edit.
+Generated from the code by `python tools/reference_page.py docs/`; do not edit.
 
 A component is chosen in a [scenario file](scenarios.md) by its `type`; parameters left out have the
 defaults below. On the command line a parameter is a dotted path, e.g. `--set controller.gamma1=3`. In ROS the
@@ -34,17 +33,15 @@ tables and sections of Vo and Kang (2020), or "chosen", with the reason.
 
 _TITLES = {
     "robot": "Robots",
+    "plant": "Plants",
+    "detector": "Detectors",
+    "sensor": "Sensors",
     "reference": "References",
     "controller": "Controllers",
     "observer": "Observers",
     "disturbance": "Disturbances",
     "fault": "Faults",
 }
-
-
-def summary(cls: type) -> str:
-    """Return the first line of a class's docstring."""
-    return next(iter((cls.__doc__ or "").strip().splitlines()), "")
 
 
 def reference_page() -> str:
@@ -56,35 +53,17 @@ def reference_page() -> str:
         for name, cls in components(kind).items():
             declared = list(specs(cls).values())
             parts += [f"### `{name}`", _escape(summary(cls))]
+            if hasattr(cls, "site"):
+                parts.append(f"Site: {cls.site}.")
             if getattr(cls, "needs_observer", False):
                 parts.append("Needs an observer.")
             parts.append(_table(declared) if declared else "No parameters.")
     return "\n\n".join(part.strip() for part in parts) + "\n"
 
 
-def main(argv: Sequence[str] | None = None) -> int:
+def main() -> int:
     """Write the page, or check the one on disk."""
-    parser = argparse.ArgumentParser(
-        prog="python -m ftcm_core.report.reference", description=(__doc__ or "").split("\n")[0]
-    )
-    parser.add_argument("folder", type=Path, help="folder of reference.md")
-    parser.add_argument(
-        "--check", action="store_true", help="write nothing; exit with 1 if the page is out of date"
-    )
-    arguments = parser.parse_args(argv)
-    path: Path = arguments.folder / FILE
-    page = reference_page()
-    try:
-        if not arguments.check:
-            path.write_text(page, encoding="utf-8")
-        elif not path.is_file() or path.read_text(encoding="utf-8") != page:
-            command = f"python -m ftcm_core.report.reference {arguments.folder}"
-            print(f"{path} is out of date; run: {command}", file=sys.stderr)
-            return 1
-    except OSError as error:
-        print(f"{path}: {error.strerror or error}", file=sys.stderr)
-        return 1
-    return 0
+    return write_or_check("tools/reference_page.py", __doc__, FILE, reference_page())
 
 
 def _table(declared: Iterable[ParamSpec]) -> str:

@@ -5,7 +5,7 @@ from __future__ import annotations
 
 import math
 
-from ftcm_core.faults import Disturbance
+from ftcm_core.disturbances import Disturbance
 from ftcm_core.params import param, per_joint
 from ftcm_core.registry import register
 from ftcm_core.signals import Vector

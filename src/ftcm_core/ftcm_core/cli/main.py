@@ -1,0 +1,161 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The command line: ``ftcm simulate``, ``compare``, ``reproduce``, ``campaign``, ``list``, ``describe``.
+
+Results go to stdout, warnings, progress and errors to stderr. Exit status: 0 done (a run that diverges is a
+result), 1 the machine failed (disk, memory), 2 a mistake in what was asked, 130 interrupted.
+"""
+
+from __future__ import annotations
+
+import argparse
+import io
+import sys
+from collections.abc import Sequence
+from concurrent.futures.process import BrokenProcessPool
+from typing import Any
+
+import ftcm_core
+from ftcm_core import campaign
+from ftcm_core.cli.listing import describe_command, list_command
+from ftcm_core.cli.output import drop_stdout, fail
+from ftcm_core.cli.runs import campaign_command, compare_command, reproduce_command, simulate_command
+from ftcm_core.errors import FtcmError
+from ftcm_core.registry import KINDS, load_plugins
+
+
+def main(argv: Sequence[str] | None = None) -> int:
+    """Run the command line.
+
+    Args:
+        argv: arguments; those of the process by default.
+
+    Returns:
+        The exit status.
+    """
+    for stream in (sys.stdout, sys.stderr):
+        if isinstance(stream, io.TextIOWrapper):  # "Δ" must not crash on an ASCII terminal
+            stream.reconfigure(errors="replace")
+    try:
+        arguments = _parser().parse_args(argv)
+        load_plugins(arguments.plugin)
+        code: int = arguments.run(arguments)
+        if sys.stdout is not None:
+            sys.stdout.flush()
+        return code
+    except FtcmError as error:
+        return fail(str(error), 2)
+    except KeyboardInterrupt:
+        return 130
+    except BrokenPipeError:
+        drop_stdout()
+        return 141
+    except BrokenProcessPool:
+        return fail("a simulation process was ended from outside; out of memory?", 1)
+    except MemoryError:
+        return fail("out of memory; shorten duration or raise dt", 1)
+    except OSError as error:
+        drop_stdout()
+        return fail(": ".join(str(x) for x in (error.filename, error.strerror or error) if x), 1)
+
+
+def _parser() -> argparse.ArgumentParser:
+    parser = argparse.ArgumentParser(
+        prog="ftcm", description="Fault-tolerant control of a robot, simulated in process."
+    )
+    parser.add_argument("--version", action="version", version=f"ftcm {ftcm_core.__version__}")
+    commands = parser.add_subparsers(title="commands", metavar="COMMAND", required=True)
+
+    def command(name: str, function: Any, text: str, example: str) -> argparse.ArgumentParser:
+        sub = commands.add_parser(name, help=text, description=text, epilog=f"example: {example}")
+        sub.set_defaults(run=function)
+        sub.add_argument(
+            "--plugin", action="append", default=[], metavar="FILE",
+            help="load components from a Python file or module first; this runs its code",
+        )  # fmt: skip
+        return sub
+
+    def shared(sub: argparse.ArgumentParser, *, overrides: bool = True) -> None:
+        if overrides:
+            sub.add_argument(
+                "--set", nargs="+", action="extend", default=[], metavar="PATH=VALUE", dest="overrides",
+                help="change values of the scenario, e.g. observer.k1=10000",
+            )  # fmt: skip
+        sub.add_argument("--json", action="store_true", help="print one JSON object instead of tables")
+        sub.add_argument("--output", metavar="DIR", help="write results, tables and figures to a new folder")
+        sub.add_argument("--no-figures", action="store_true", help="leave the figures out of --output")
+
+    sub = command(
+        "simulate",
+        simulate_command,
+        "run one scenario",
+        "ftcm simulate paper --controller smc --set duration=20",
+    )
+    sub.add_argument(
+        "scenario", nargs="?", metavar="SCENARIO", help="scenario file, or name of a shipped one"
+    )
+    sub.add_argument("--controller", metavar="NAME", help="use this controller")
+    sub.add_argument("--observer", metavar="NAME", help="use this observer")
+    sub.add_argument("--engine", choices=("plain", "compiled"), default="plain", help="compiled needs numba")
+    shared(sub)
+
+    sub = command(
+        "compare",
+        compare_command,
+        "run several controllers on one or more scenarios, in parallel",
+        "ftcm compare paper --controllers smc ftcm",
+    )
+    sub.add_argument(
+        "scenarios", nargs="*", metavar="SCENARIO", help="scenario files or names of shipped ones"
+    )
+    sub.add_argument("--controllers", nargs="+", metavar="NAME", help="controllers to compare; default: all")
+    shared(sub)
+
+    sub = command(
+        "reproduce",
+        reproduce_command,
+        "repeat the paper's experiment: its Table 2 and its figures",
+        "ftcm reproduce --output results/paper",
+    )
+    shared(sub, overrides=False)
+
+    sub = command(
+        "campaign",
+        campaign_command,
+        "run one scenario many times, values drawn at random, and give statistics",
+        "ftcm campaign paper --runs 1000 --vary 'injection.faults.0.start=uniform(5, 15)'",
+    )
+    sub.add_argument(
+        "source",
+        nargs="?",
+        metavar="SCENARIO",
+        help="scenario or campaign file, or name of a shipped scenario",
+    )
+    sub.add_argument("--runs", type=int, metavar="N", help="number of draws; default: 100")
+    sub.add_argument("--seed", type=int, metavar="N", help="seed of the draws; default: 0")
+    sub.add_argument(
+        "--vary", nargs="+", action="extend", default=[], metavar="PATH=DISTRIBUTION",
+        help="draw a value: " + "; ".join(form for form, _ in campaign.DISTRIBUTIONS.values()),
+    )  # fmt: skip
+    sub.add_argument(
+        "--set", nargs="+", action="extend", default=[], metavar="PATH=VALUE", dest="overrides",
+        help="change values in every run",
+    )  # fmt: skip
+    sub.add_argument("--controllers", nargs="+", metavar="NAME", help="run every draw with each of these")
+    sub.add_argument("--jobs", type=int, metavar="N", help="number of processes; default: one per core")
+    sub.add_argument(
+        "--engine", choices=campaign.ENGINES, default="auto",
+        help="compiled needs numba; auto: compiled where that is installed",
+    )  # fmt: skip
+    sub.add_argument("--json", action="store_true", help="print the summary as one JSON object")
+    sub.add_argument("--output", metavar="DIR", help="write every run and the summary to a new folder")
+
+    sub = command("list", list_command, "list scenarios and components", "ftcm list controller")
+    sub.add_argument("kind", nargs="?", metavar="KIND", help=f"one of scenario, {', '.join(KINDS)}")
+    sub.add_argument("--json", action="store_true", help="print one JSON object")
+
+    sub = command(
+        "describe", describe_command, "describe a component and its parameters", "ftcm describe ftcm"
+    )
+    sub.add_argument("name", metavar="NAME", help="name of a component, or KIND/NAME")
+    sub.add_argument("--json", action="store_true", help="print one JSON object")
+    return parser

@@ -1,0 +1,165 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Commands that run something: ``simulate``, ``compare``, ``reproduce``, ``campaign``."""
+
+from __future__ import annotations
+
+import argparse
+import dataclasses
+import functools
+import sys
+from collections.abc import Sequence
+from typing import Any
+
+from ftcm_core import campaign, compiled
+from ftcm_core.cli.output import note, progress
+from ftcm_core.errors import FtcmError, ScenarioError
+from ftcm_core.parallel import run_parallel
+from ftcm_core.recording.metrics import result
+from ftcm_core.recording.trace import Trace
+from ftcm_core.recording.trace_file import save_trace
+from ftcm_core.registry import components, find
+from ftcm_core.report.results import labelled, new_folder, report, to_json, write_results
+from ftcm_core.report.table import PUBLISHED, status
+from ftcm_core.scenario import Scenario, load, shipped_scenarios
+from ftcm_core.simulation import simulate
+
+Job = tuple[str, Scenario]
+"""A label and what to run."""
+
+
+def simulate_command(arguments: argparse.Namespace) -> int:
+    """Run one scenario."""
+    overrides = list(arguments.overrides)
+    sources = _sources([arguments.scenario] if arguments.scenario else [], overrides)
+    if len(sources) != 1:
+        raise FtcmError(
+            f"simulate runs one scenario, got {', '.join(sources) or 'none'}; expected e.g. paper"
+        )
+    if arguments.controller is not None:
+        find("controller", arguments.controller)
+    if arguments.observer is not None:
+        find("observer", arguments.observer)
+        overrides.insert(0, f"observer.type={arguments.observer}")
+    scenario = load(sources[0], overrides, arguments.controller)
+    folder = new_folder(arguments.output) if arguments.output is not None else None
+    label = scenario.controller.type_name
+    _warn([(label, scenario)])
+    if arguments.engine == "compiled":
+        trace = compiled.simulate(scenario)
+    elif sys.stderr is not None and sys.stderr.isatty():
+        with progress("tick") as show:
+            trace = simulate(scenario, progress=show)
+    else:
+        trace = simulate(scenario)
+    found = result(trace)
+    _print_results(found if arguments.json else [found])
+    if folder:
+        save_trace(folder / "trace.npz", trace)
+        write_results(folder, [(label, trace)], figures=not arguments.no_figures)
+    return 0
+
+
+def compare_command(arguments: argparse.Namespace) -> int:
+    """Run several controllers on one or more scenarios."""
+    sources = _sources(arguments.scenarios, arguments.overrides)
+    if not sources:
+        raise FtcmError("compare runs one scenario or more; expected e.g. paper")
+    names: list[str] = arguments.controllers or list(components("controller"))
+    for name in names:
+        find("controller", name)
+    jobs: list[Job] = []
+    for source in sources:
+        for name in dict.fromkeys(names):
+            try:
+                scenario = load(source, arguments.overrides, name)
+            except ScenarioError as error:
+                if arguments.controllers or not error.unsuited:
+                    raise ScenarioError(f"with controller {name}: {error}") from None
+                note(f"left out: {error}")
+                continue
+            jobs.append((name if len(sources) == 1 else f"{scenario.name}/{name}", scenario))
+    return _run_all(jobs, arguments)
+
+
+def reproduce_command(arguments: argparse.Namespace) -> int:
+    """Repeat the paper's experiment."""
+    paper = str(shipped_scenarios()["paper"])
+    return _run_all([(name, load(paper, controller=name)) for name in PUBLISHED], arguments)
+
+
+def _run_all(jobs: Sequence[Job], arguments: argparse.Namespace) -> int:
+    """Run jobs in parallel, then print and write their results in the order of the jobs."""
+    folder = new_folder(arguments.output) if arguments.output is not None else None
+    _warn(jobs)
+    found: dict[int, tuple[dict[str, Any], Trace | None]] = {}
+    for index, outcome in run_parallel(functools.partial(_run_job, keep_trace=folder is not None), jobs):
+        found[index] = outcome
+        note(f"[{len(found)}/{len(jobs)}] {jobs[index][0]}: {status(outcome[0])}")
+    results = [found[i][0] for i in range(len(jobs))]
+    _print_results({"results": results} if arguments.json else results)
+    if folder:
+        traces = [(label, found[i][1]) for i, (label, _) in enumerate(jobs)]
+        kept = [(label, trace) for label, trace in traces if trace is not None]
+        write_results(folder, kept, figures=not arguments.no_figures)
+    return 0
+
+
+def _print_results(found: dict[str, Any] | list[dict[str, Any]]) -> None:
+    """Print one JSON object, or the tables of a list of results."""
+    if isinstance(found, dict):
+        print(to_json(found), flush=True)
+    else:
+        print(report(found), end="", flush=True)
+
+
+def _run_job(job: Job, keep_trace: bool) -> tuple[dict[str, Any], Trace | None]:
+    label, scenario = job
+    trace = simulate(scenario)
+    return labelled(label, trace), trace if keep_trace else None
+
+
+def campaign_command(arguments: argparse.Namespace) -> int:
+    """Run one scenario many times, values drawn at random."""
+    overrides = list(arguments.overrides)
+    sources = _sources([arguments.source] if arguments.source else [], overrides)
+    if len(sources) != 1:
+        raise FtcmError(
+            f"campaign takes one scenario or campaign file, got {', '.join(sources) or 'none'}; "
+            "expected e.g. paper"
+        )
+    planned = campaign.from_file(sources[0])
+    varied = tuple(campaign.parse_variation(text) for text in arguments.vary)
+    again = {v.path for v in varied}
+    planned = dataclasses.replace(
+        planned,
+        runs=planned.runs if arguments.runs is None else arguments.runs,
+        seed=planned.seed if arguments.seed is None else arguments.seed,
+        variations=(*(v for v in planned.variations if v.path not in again), *varied),
+        overrides=(*planned.overrides, *overrides),
+        controllers=tuple(arguments.controllers or planned.controllers),
+    )
+    if arguments.jobs is not None and arguments.jobs < 1:
+        raise FtcmError(f"--jobs {arguments.jobs}: expected at least 1")
+    campaign.chosen_engine(arguments.engine)
+    folder = new_folder(arguments.output) if arguments.output is not None else None
+    with progress("run") as show:
+        summary = campaign.run_campaign(
+            planned, engine=arguments.engine, jobs=arguments.jobs, folder=folder, progress=show, note=note
+        )
+    print(to_json(summary) if arguments.json else campaign.table(summary), flush=True)
+    return 0
+
+
+def _sources(named: Sequence[str], overrides: list[str]) -> list[str]:
+    """Scenarios of a command; those written after ``--set`` are taken out of the overrides."""
+    if named:
+        return list(named)
+    found: list[str] = []
+    while overrides and "=" not in overrides[-1]:
+        found.insert(0, overrides.pop())
+    return found
+
+
+def _warn(jobs: Sequence[Job]) -> None:
+    for text in dict.fromkeys(w for _, scenario in jobs for w in scenario.controller.warnings()):
+        note(f"warning: {text}")

@@ -1,0 +1,2 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Recorded runs: traces, their metrics, their files, and where they come from."""

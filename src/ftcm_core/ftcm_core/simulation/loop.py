@@ -1,0 +1,172 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The tick loop that the ROS graph repeats node by node.
+
+tick k, t_k = k*dt (k an integer, time an integer number of nanoseconds, never accumulated)
+  y_k   = sensors(x_k), u_{k-1} applied            plant      -> joint_states          (stamp t_k)
+  est_k = observer.step(y_k)                       observer   -> disturbance_estimate  (stamp t_k)
+  u_k   = controller.step(y_k, ref(t_k), est_k)    controller -> joint_torques         (stamp t_k)
+  d_k   = injector.step(t_k, x_k, u_k)             injector   -> disturbance           (stamp t_k)
+  r_k   = detector.step(y_k, u_k, est_k)           detector   -> detection             (stamp t_k)
+  record(k)
+  a_k   = drive(u_k)                               plant: delay, limits, actuator faults
+  x_{k+1} = plant.step(x_k, a_k + d_k)             plant: torques held over [t_k, t_{k+1})
+"""
+
+from __future__ import annotations
+
+from array import array
+from collections.abc import Callable, Sequence
+from typing import Any
+
+import numpy as np
+
+from ftcm_core.recording.trace import Array, Change, Trace
+from ftcm_core.scenario import Scenario
+from ftcm_core.signals import TrueDisturbance, Vector, seconds
+from ftcm_core.simulation.stages import (
+    ControllerStage,
+    DetectorStage,
+    InjectorStage,
+    ObserverStage,
+    PlantStage,
+)
+
+
+class Loop:
+    """The stages of one run and the tick that composes them."""
+
+    def __init__(self, scenario: Scenario) -> None:
+        """Start at the scenario's initial state."""
+        self.plant = PlantStage(scenario)
+        self.observer = ObserverStage(scenario.observer, scenario.model, scenario.dt)
+        self.controller = ControllerStage(scenario)
+        self.injector = InjectorStage(scenario)
+        self.detector = DetectorStage(scenario) if scenario.detector else None
+        self.hidden = scenario.hidden
+
+    def act(self, time_ns: int) -> tuple[Vector, Vector, TrueDisturbance]:
+        """Everything of a tick before the plant moves: measure, observe, control, disturb, detect.
+
+        Args:
+            time_ns: t_k, ns.
+
+        Returns:
+            The row that is recorded, in the order of :data:`~ftcm_core.signals.COLUMNS`; u_k (N·m) and
+            d_k (N·m).
+        """
+        y = self.plant.measure()
+        tau_hat = self.observer.step(y)
+        u, reference = self.controller.step(time_ns, y, tau_hat)
+        q, v = self.plant.motion
+        d = self.injector.step(time_ns, q, v, u)
+        row = (*q, *v, *y.effort, *tau_hat, *u, *d.torque, *reference.position, *reference.velocity)
+        if self.hidden:
+            row += (*y.position, *y.velocity, *self.plant.state.joint_torque)
+        if self.detector:
+            found = self.detector.step(y, u, tau_hat)
+            row += (*found.residual, *found.alarm)
+        return row, u, d
+
+    def tick(self, time_ns: int, last: bool, record: Callable[[Vector], object]) -> str:
+        """Run one tick and move the plant, unless it is the last.
+
+        Args:
+            time_ns: t_k, ns.
+            last: whether the run ends with this tick.
+            record: takes the tick's row.
+
+        Returns:
+            Why the run cannot go on; empty while it can.
+        """
+        try:
+            row, u, d = self.act(time_ns)
+            record(row)
+            if last:
+                return ""
+            self.plant.step(time_ns, u, d)
+        except (ArithmeticError, ValueError) as error:  # a law out of its domain: overflow, log(0), ...
+            return str(error) or type(error).__name__
+        return self.plant.reason
+
+    def ended(self, time_ns: int, reason: str) -> tuple[str, str, float | None]:
+        """How a run ended with the tick at ``time_ns`` and what :meth:`tick` returned.
+
+        Returns:
+            Status, detail with the time, and the time, s; None if the run is complete.
+        """
+        if not reason:
+            return "completed", "", None
+        moved = bool(self.plant.reason)  # else a law or a fault left its domain before the plant moved
+        t = seconds(time_ns + self.plant.dt_ns if moved else time_ns)
+        return self.plant.status if moved else "diverged", f"at t = {t:g} s: {reason}", t
+
+
+def simulate(
+    scenario: Scenario,
+    changes: Sequence[Change] = (),
+    progress: Callable[[int, int], None] | None = None,
+) -> Trace:
+    """Run a scenario in process.
+
+    Args:
+        scenario: what to run.
+        changes: controllers, observers or detectors to swap in, each from its tick on.
+        progress: called about every 1000 ticks with the ticks done and the last tick.
+
+    Returns:
+        The trace; a run that diverges or exceeds a limit ends there, with its status and the time.
+    """
+    loop = Loop(scenario)
+    swaps: dict[int, list[Change]] = {}
+    for change in changes:
+        swaps.setdefault(change.tick, []).append(change)
+    dt_ns, last = scenario.dt_ns, scenario.last_tick
+    rows = array("d")
+    tick, record = loop.tick, rows.extend
+    reason, k = "", 0
+    for k in range(last + 1):
+        if k in swaps:
+            for change in swaps[k]:
+                getattr(loop, change.kind).swap(change.component)
+        reason = tick(k * dt_ns, k == last, record)
+        if reason:
+            break
+        if progress and k % 1000 == 0:
+            progress(k, last)
+    ended = loop.ended(k * dt_ns, reason)
+    return to_trace(scenario, np.frombuffer(rows, dtype=np.float64), *ended, changes=changes)
+
+
+def to_trace(
+    scenario: Scenario,
+    rows: Array,
+    status: str,
+    detail: str,
+    ended_at: float | None,
+    **more: Any,
+) -> Trace:
+    """Make a trace of recorded rows.
+
+    Args:
+        scenario: what ran.
+        rows: the rows of all ticks, one after the other.
+        status: how the run ended.
+        detail: why it ended early; empty if it did not.
+        ended_at: when it ended early, s.
+        **more: further fields of the trace.
+    """
+    names = scenario.columns
+    table = rows.reshape(-1, len(names), scenario.robot.joints)
+    columns: dict[str, Any] = {name: np.ascontiguousarray(table[:, i]) for i, name in enumerate(names)}
+    more["changes"] = tuple(more.get("changes", ()))
+    return Trace(
+        joint_names=scenario.robot.joint_names,
+        dt=scenario.dt,
+        time_ns=np.arange(len(table), dtype=np.int64) * scenario.dt_ns,
+        **columns,
+        scenario=scenario,
+        status=status,
+        detail=detail,
+        ended_at=ended_at,
+        **more,
+    )

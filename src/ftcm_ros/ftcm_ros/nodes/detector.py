@@ -1,0 +1,99 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The detector node: measurement, command and estimate in, ``detection`` out."""
+
+from __future__ import annotations
+
+import math
+import sys
+from collections.abc import Callable
+from typing import Any, cast
+
+from ftcm_core.detectors import Detector
+from ftcm_core.registry import Component
+from ftcm_core.signals import Detection, Measurement
+from ftcm_core.simulation.stages import DetectorStage
+from ftcm_ros.nodes.component_node import ComponentNode
+from ftcm_ros.nodes.main import run
+from ftcm_ros.transport.codec import JointSample
+from ftcm_ros.transport.topics import DETECTION, ESTIMATE, JOINT_STATES, TORQUES
+
+
+class DetectorNode(ComponentNode):
+    """Runs the fault detector; one that uses no observer does not wait for the estimate."""
+
+    def __init__(self) -> None:
+        """Subscribe what a detector looks at, publish residuals and alarms.
+
+        Raises:
+            FtcmError: the scenario has no detector.
+        """
+        super().__init__("detector")
+        self.listen(
+            {JOINT_STATES: ("position", "velocity", "effort"), ESTIMATE: ("effort",), TORQUES: ("effort",)}
+        )
+        self._publish = self.plane.publisher(DETECTION)
+        self._zeros = (0.0,) * self.scenario.robot.joints
+        self.alarms = 0
+        """Ticks with an alarm."""
+        self.last: Detection | None = None
+        self.configure()
+
+    def configure(self) -> None:
+        """A fresh detector."""
+        super().configure()
+        self.stage = DetectorStage(self.scenario)
+        self.stage.detector = cast(Detector, self.parameters.component)
+        self.stage.state = self.stage.detector.init(self.scenario.robot.joints)
+        self.alarms, self.last = 0, None
+        self._require(self.stage.detector)
+
+    def _require(self, detector: Detector) -> None:
+        names = (JOINT_STATES.name, ESTIMATE.name, TORQUES.name)
+        self.aligner.required = names if detector.needs_observer else (names[0], names[2])
+
+    def use(self, component: Component) -> None:
+        """Swap the detector."""
+        detector = cast(Detector, component)
+        self.stage.swap(detector)
+        self._require(detector)
+
+    def answer(
+        self, time_ns: int, values: dict[str, JointSample]
+    ) -> list[tuple[Callable[[Any], None], bytes]]:
+        """One set of residuals and alarms."""
+        estimate = values.get(ESTIMATE.name)
+        try:
+            found = self.stage.step(
+                Measurement(*values[JOINT_STATES.name][1:]),
+                values[TORQUES.name].effort,
+                estimate.effort if estimate else self._zeros,
+                self.elapsed,
+            )
+        except (ArithmeticError, ValueError) as error:  # driven out of its domain
+            self.get_logger().error(f"tick {time_ns // self.scenario.dt_ns}: {error}")
+            found = Detection((math.nan,) * len(self._zeros), self._zeros)
+        self.alarms += any(found.alarm)
+        self.last = found
+        self.announce(time_ns, self.stage.detector, found.residual)
+        return [(self._publish, self.codec.detection.encode(time_ns, found.alarm, found.residual))]
+
+    def health(self) -> tuple[str, str, dict[str, Any]]:
+        """Besides, which joints have an alarm."""
+        level, message, values = super().health()
+        names = self.codec.joint_names
+        now = [name for name, alarm in zip(names, self.last.alarm) if alarm] if self.last else []
+        values["ticks_with_alarm"] = self.alarms
+        values["alarms"] = ", ".join(now)
+        if now:
+            level = "warn" if level == "ok" else level
+            message += f"; alarm: {', '.join(now)}"
+        return level, message, values
+
+
+def main() -> None:
+    """Entry point of ``ros2 run ftcm_ros detector``."""
+    sys.exit(run(DetectorNode))
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,87 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The detector node: its topic, its diagnostics, its parameters, and its place in an experiment."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+pytest.importorskip("rclpy", reason="ROS 2 (rclpy) is not installed")
+
+from sensor_msgs.msg import JointState
+
+from ftcm_core.scenario import load
+from ftcm_core.simulation import simulate
+from ftcm_ros.bags.reader import read_bag
+from ftcm_ros.parameters.node_parameters import ALL_NODES, NODES
+from ftcm_ros.transport.plane import qos
+from ftcm_ros.transport.topics import DETECTION
+from node_processes import node_pids
+from traces import same
+
+pytestmark = pytest.mark.ros
+
+OVERRIDES = [
+    "duration=12",
+    "injection.faults.0.start=0.3",
+    "detector={type: residual_threshold, threshold: 12}",
+]
+
+
+def test_alarms_are_published_told_and_recorded_and_the_threshold_is_changed(
+    live: Callable[..., Any], watcher: Any, tmp_path: Path
+) -> None:
+    run = live("paper", "--controllers", "ftcm", *(a for o in OVERRIDES for a in ("--set", o)))
+    heard: list[JointState] = []
+    watcher.node.create_subscription(JointState, DETECTION.name, heard.append, qos(DETECTION))
+    run.first_tick(("controller", "ftcm"), ("detector", "residual_threshold"), ("observer", "do"))
+    assert set(node_pids(run.process.pid)) == set(ALL_NODES)
+    ((taken, reason),) = watcher.set("detector", residual_threshold__threshold=-1.0)
+    assert not taken
+    assert "residual_threshold.threshold: -1 is out of range" in reason
+    told = run.until(
+        lambda: run.health["detector"] if run.health.get("detector", {}).get("alarms") else None, "an alarm"
+    )
+    assert int(told["ticks_with_alarm"]) > 0
+    assert set(told["alarms"].split(", ")) <= {"joint1", "joint2", "joint3"}
+    assert f"alarm: {told['alarms']}" in told["message"]
+    run.change("detector", residual_threshold__threshold=[1000.0, 1000.0, 1000.0])
+    run.until(lambda: run.health["detector"]["alarms"] == "", "an end of the alarms")
+    run.end()
+    bag = read_bag(tmp_path / "runs" / "test" / "bags" / "ftcm")
+    assert bag.missing == {}
+    assert set(bag.nodes) == set(ALL_NODES)
+    ((tick, kind, component),) = ((c.tick, c.kind, c.component) for c in bag.trace.changes)
+    assert (kind, component.threshold) == ("detector", (1000.0,) * 3)
+    assert same(bag.trace, simulate(load("paper", OVERRIDES), bag.trace.changes))
+    assert bag.trace.alarm is not None
+    assert bag.trace.residual is not None
+    assert bag.trace.alarm[:tick].any()
+    assert not bag.trace.alarm[tick:].any()
+    summary = json.loads((tmp_path / "runs" / "test" / "summary.json").read_text())
+    last = summary["timing"]["ftcm"]["nodes"]["detector"]  # the bag was closed before it
+    assert int(last["ticks_with_alarm"]) == bag.trace.alarm.any(axis=1).sum()
+    assert int(last["ticks"]) == bag.trace.ticks
+    assert len(heard) > 100
+    for message in heard[:: len(heard) // 50]:
+        row = (message.header.stamp.sec * 10**9 + message.header.stamp.nanosec) // 1_000_000
+        assert list(message.position) == bag.trace.alarm[row].tolist()
+        assert list(message.effort) == bag.trace.residual[row].tolist()
+        assert len(message.velocity) == 0
+
+
+def test_there_is_none_by_default(live: Callable[..., Any], tmp_path: Path) -> None:
+    run = live("paper", "--controllers", "ftcm", "--set", "duration=1")
+    run.first_tick(("controller", "ftcm"), ("observer", "do"))
+    assert set(node_pids(run.process.pid)) == set(NODES)
+    run.end()
+    bag = read_bag(tmp_path / "runs" / "test" / "bags" / "ftcm")
+    assert set(bag.nodes) == set(NODES)
+    assert "detection" not in bag.stamps
+    assert not {"residual", "alarm"} & set(bag.trace.columns)
+    assert not np.isnan(bag.trace.disturbance_estimate).any()

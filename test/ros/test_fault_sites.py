@@ -1,0 +1,95 @@
+# SPDX-License-Identifier: Apache-2.0
+"""A fault at every site, over the graph and in process."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+pytest.importorskip("rclpy", reason="ROS 2 (rclpy) is not installed")
+
+from ftcm_core.scenario import Scenario, from_mapping, load
+from ftcm_core.scenario.definition import replace
+from ftcm_core.signals import COLUMNS
+from ftcm_core.simulation import simulate
+from ftcm_ros.bags.reader import read_bag
+from traces import same
+
+pytestmark = pytest.mark.ros
+
+DROPPED = ("joint_torques", "joint_states", "disturbance_estimate", "disturbance")
+FAULTS: list[dict[str, Any]] = [
+    {"type": "vo_kang_fault", "start": 0.3},
+    {"type": "loss_of_effectiveness", "start": 0.25, "loss": [0.0, 0.3, 0.2], "overload": 50.0},
+    {"type": "sensor_bias", "start": 0.2, "bias": 0.002, "walk": 0.001, "drift": 0.001},
+    {"type": "payload_pickup", "start": 0.5, "mass": 1.0},
+    *({"type": "dropped_messages", "start": 0.1, "topic": t, "probability": 0.05} for t in DROPPED),
+]
+EVERYTHING = {
+    "name": "everything",
+    "robot": {"type": "puma560", "payload_mass": 0.5},
+    "model": {"mass": "-10 %"},
+    "reference": "vo_kang_cosine",
+    "controller": "ftcm",
+    "observer": "do",
+    "detector": {"type": "residual_threshold", "threshold": 15.0},
+    "sensor": {"type": "encoder", "noise": 1e-5},
+    "injection": {"disturbances": ["vo_kang_friction"], "faults": FAULTS},
+    "torque_delay": 1,
+    "torque_limits": [97.6, 186.4, 89.4],
+    "duration": 0.8,
+    "transient": 0.1,
+    "seed": 3,
+}
+
+
+def over_the_graph(experiment: Callable[..., Any], folder: Path, scenario: Scenario) -> Any:
+    """Run it; return the bag."""
+    (folder / "sites.yaml").write_text(scenario.to_yaml(), encoding="utf-8")
+    run = experiment("sites.yaml")
+    assert run.returncode == 0, run.stderr
+    bag = read_bag(folder / "runs" / "test" / "bags" / scenario.controller.type_name)
+    assert bag.missing == {}
+    assert bag.trace.scenario == scenario
+    return bag
+
+
+def test_a_fault_of_every_site_at_once(experiment: Callable[..., Any], tmp_path: Path) -> None:
+    scenario = from_mapping(EVERYTHING)
+    assert {fault.site for fault in scenario.faults} == {"actuator", "sensor", "dynamics", "communication"}
+    bag = over_the_graph(experiment, tmp_path, scenario)
+    expected = simulate(scenario)
+    assert list(bag.trace.columns) == list(COLUMNS)
+    assert same(bag.trace, expected)
+    assert expected.alarm is not None
+    assert 0 < expected.alarm.any(axis=1).sum() < expected.ticks
+    for i, fault in enumerate(scenario.faults):  # each of them has made a difference
+        others = scenario.faults[:i] + scenario.faults[i + 1 :]
+        assert not same(expected, simulate(replace(scenario, faults=others))), fault
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("fault", FAULTS[1:], ids=lambda f: f.get("topic", f["type"]))
+def test_a_fault_by_itself(experiment: Callable[..., Any], tmp_path: Path, fault: dict[str, Any]) -> None:
+    """With an ideal sensor and no detector, so that what the fault itself needs is not there by others."""
+    scenario = from_mapping(
+        {**EVERYTHING, "detector": None, "sensor": None, "injection": {"faults": [fault]}, "torque_delay": 0}
+    )
+    bag = over_the_graph(experiment, tmp_path, scenario)
+    assert ("joint_torque" in bag.trace.columns) == (fault["type"] != "payload_pickup")
+    assert same(bag.trace, simulate(scenario))
+    assert not same(bag.trace, simulate(replace(scenario, faults=())))
+
+
+def test_the_paper_shows_all_there_is_without_the_true_state(
+    experiment: Callable[..., Any], tmp_path: Path
+) -> None:
+    scenario = load("paper", ["duration=0.2", "injection.faults.0.start=0.1"])
+    bag = over_the_graph(experiment, tmp_path, scenario)
+    assert set(bag.stamps) == {
+        "joint_states", "disturbance_estimate", "joint_torques", "disturbance", "reference",
+    }  # fmt: skip
+    assert same(bag.trace, simulate(scenario))

@@ -1,0 +1,59 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The source that a compiled run compiles, run by Python itself: what is written, apart from numba."""
+
+from __future__ import annotations
+
+import warnings
+from typing import Any
+
+from ftcm_core.compiled import program, tracing
+from ftcm_core.simulation import Loop
+
+
+class _Plain:
+    """Stands for numba: leaves functions as they are."""
+
+    @staticmethod
+    def njit(*given: Any, **_: Any) -> Any:
+        return given[0] if given and callable(given[0]) else lambda function: function
+
+
+class WrittenTick:
+    """The written tick of a run that has done one, and its state there."""
+
+    def __init__(self, loop: Loop) -> None:
+        """Write it.
+
+        Raises:
+            NotCompilable: as of :func:`ftcm_core.compiled.program.write`.
+        """
+        tracer, self.text = program.write(loop)
+        names: dict[str, Any] = {"numba": _Plain, "CACHED": False, "__name__": "written"}
+        exec(self.text.replace("\nimport numba\n", "\n", 1), names)
+        known: dict[Any, Any] = {}
+        self.parameters = [tracing.look_up(loop, steps, known) for steps in tracer.slots]
+        self.state = list(program.numbers(program.state_of(loop)))
+        self.reached = [0]
+        self._ticks, self._dt_ns, self._joints = names["ticks"], loop.plant.dt_ns, loop.observer.model.joints
+        self._written: dict[tuple[int, int], float] = {}
+
+    def run(self, first: int, last: int) -> int:
+        """Run ticks ``first`` to before ``last``; return the first one not run."""
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore", RuntimeWarning)  # whole numbers modulo 2^64 are meant to overflow
+            reached: int = self._ticks(
+                self.parameters, self.state, first, last, self._dt_ns, self._written, self.reached
+            )
+        return reached
+
+    @property
+    def rows(self) -> list[list[float]]:
+        """What it recorded, tick by tick."""
+        ticks = sorted({k for k, _ in self._written})
+        width = 1 + max((i for _, i in self._written), default=-1)
+        return [[float(self._written[k, i]) for i in range(width)] for k in ticks]
+
+
+def state_numbers(loop: Loop) -> list[float]:
+    """The floats that a run remembers, in the order of the written tick's state."""
+    return list(program.numbers(program.state_of(loop)))
