@@ -14,7 +14,6 @@ import rclpy
 from rcl_interfaces.srv import SetParameters
 from rclpy.parameter import Parameter
 
-from ftcm_core.recording.trace import COLUMNS
 from ftcm_core.simulation import simulate
 from ftcm_ros.bags.reader import read_bag
 
@@ -33,8 +32,11 @@ def compare(path: str) -> dict[str, Any]:
         "ticks": trace.ticks,
         "status": trace.status,
         "missing": bag.missing,
+        "columns": list(trace.columns),
         "differing": [
-            c for c in COLUMNS if not np.array_equal(getattr(trace, c)[:ticks], getattr(again, c)[:ticks])
+            name
+            for name, column in again.columns.items()
+            if name not in trace.columns or trace.columns[name][:ticks].tobytes() != column[:ticks].tobytes()
         ],
         "changes": [[c.kind, c.component.type_name, c.tick] for c in trace.changes],
         "plant": bag.nodes.get("plant", {}),

@@ -190,6 +190,15 @@ def test_lockstep_across_containers_equals_the_in_process_run(up: Up) -> None:
     assert summary["results"][0]["status"] == "completed"
 
 
+def test_a_detector_has_a_container_of_its_own_where_the_scenario_has_one(up: Up) -> None:
+    project = up(f"{SHORT} --set detector=residual_threshold", COMPOSE_PROFILES="detector")
+    assert project.container("detector")
+    assert project.wait() == 0, project.log()
+    bag = project.bag()
+    equals_the_in_process_run(bag, 1001)
+    assert {"residual", "alarm"} <= set(bag["columns"])
+
+
 def test_real_time_across_containers(up: Up) -> None:
     project = up("paper --controllers ftcm --mode real_time --set duration=3")
     assert project.wait() == 0, project.log()

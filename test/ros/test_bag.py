@@ -52,7 +52,7 @@ def messages(trace: Trace, k: int) -> list[tuple[Any, bytes]]:
     for topic, channel in zip(data_topics(trace.scenario), trace.scenario.channels):
         rows = [tuple(trace.columns[name][k].tolist()) for name in channel.columns if name]
         filled = tuple(map(bool, channel.columns))
-        (layout,) = (x for x in codec.layouts if tuple(s.stop > s.start for s in x.slices) == filled)
+        (layout,) = (x for x in codec.layouts if tuple(bool(s.stop) for s in x.slices) == filled)
         found.append((topic, layout.encode(int(trace.time_ns[k]), *rows)))
     return found
 
