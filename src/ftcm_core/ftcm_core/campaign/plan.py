@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import copy
 import os
 from collections.abc import Mapping
@@ -115,6 +116,7 @@ def from_file(source: str) -> Campaign:
     """
     data, _, origin = read_mapping(source)
     if not is_campaign(data):
+        with_plugins(data, source, origin)
         return Campaign(source)
     known = ("scenario", "runs", "seed", "vary", "set", "controllers")
     data = {k: v for k, v in data.items() if k != "name" and v is not None}
@@ -131,9 +133,13 @@ def from_file(source: str) -> Campaign:
     if not isinstance(scenario, str):
         raise FtcmError(f"{origin}: scenario: {shown(scenario)} is not a path or name")
     beside = Path(source).parent / scenario
+    path = str(beside) if os.path.isfile(beside) else scenario
+    with contextlib.suppress(ScenarioError):  # it is told when the scenario is read for the first run
+        read, _, place = read_mapping(path)
+        with_plugins(read, path, place)
     try:
         return Campaign(
-            source=str(beside) if os.path.isfile(beside) else scenario,
+            source=path,
             runs=data.get("runs", 100),
             seed=data.get("seed", 0),
             variations=tuple(parse_variation(f"{path}={text}") for path, text in vary.items()),

@@ -20,7 +20,7 @@ from ftcm_core.recording.trace_file import save_trace
 from ftcm_core.registry import components, find
 from ftcm_core.report.results import labelled, new_folder, report, to_json, write_results
 from ftcm_core.report.table import PUBLISHED, status
-from ftcm_core.scenario import Scenario, load, shipped_scenarios
+from ftcm_core.scenario import Scenario, load, read_mapping, shipped_scenarios, with_plugins
 from ftcm_core.simulation import simulate
 
 Job = tuple[str, Scenario]
@@ -35,6 +35,7 @@ def simulate_command(arguments: argparse.Namespace) -> int:
         raise FtcmError(
             f"simulate runs one scenario, got {', '.join(sources) or 'none'}; expected e.g. paper"
         )
+    _load_plugins(sources)
     if arguments.controller is not None:
         find("controller", arguments.controller)
     if arguments.observer is not None:
@@ -64,6 +65,7 @@ def compare_command(arguments: argparse.Namespace) -> int:
     sources = _sources(arguments.scenarios, arguments.overrides)
     if not sources:
         raise FtcmError("compare runs one scenario or more; expected e.g. paper")
+    _load_plugins(sources)
     names: list[str] = arguments.controllers or list(components("controller"))
     for name in names:
         find("controller", name)
@@ -148,6 +150,13 @@ def campaign_command(arguments: argparse.Namespace) -> int:
         )
     print(to_json(summary) if arguments.json else campaign.table(summary), flush=True)
     return 0
+
+
+def _load_plugins(sources: Sequence[str]) -> None:
+    """Load what the scenario files name, before components are looked up by name."""
+    for source in sources:
+        data, _, origin = read_mapping(source)
+        with_plugins(data, source, origin)
 
 
 def _sources(named: Sequence[str], overrides: list[str]) -> list[str]:

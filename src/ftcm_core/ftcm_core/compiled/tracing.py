@@ -188,7 +188,7 @@ class Tracer:
             result = self.follow(function)(stand, *with_numbers(arguments, iter(formal)))
             lines, (self.lines, self._written) = self.lines, outer
             self._apart[key] = None
-            if len(lines) > MANY_LINES:
+            if len(lines) > MANY_LINES and not any(line.endswith(": break") for line in lines):
                 name = f"block{len(self.blocks)}"
                 returned = ", ".join(map(literal, numbers(result)))
                 self.blocks.append((name, len(given), [*lines, f"return ({returned},)"]))
