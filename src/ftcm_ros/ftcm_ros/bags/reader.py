@@ -225,7 +225,12 @@ def _cut_ragged_end(
 
     A topic that had ended more than a second before was not cut off by the recorder's end.
     """
-    last = {name: published[name].max() for name, (times, _) in decoded.items() if len(times)}
+    every_tick = {topic.name for topic in data_topics(scenario)}
+    last = {
+        name: published[name].max()
+        for name, (times, _) in decoded.items()
+        if len(times) and name in every_tick
+    }
     cut = [name for name, when in last.items() if when > max(last.values()) - NANOSECONDS]
     end = min(int(decoded[name][0].max()) for name in cut)
     ticks = ", ".join(f"{name} {len(np.unique(times))}" for name, (times, _) in decoded.items())
