@@ -37,6 +37,11 @@ else \
 fi
 endef
 
+# $(call pytest,MARKS): without PYTEST_ARGS side by side, one worker for each processor, then those that need the
+# machine alone.
+pytest = $(if $(PYTEST_ARGS),python -m pytest -m '$(1)' $(PYTEST_ARGS),\
+    python -m pytest -n "$$(nproc)" --dist worksteal -m '$(1) and not alone' && python -m pytest -m '$(1) and alone')
+
 .PHONY: help
 help: ## Show this list
 	@echo 'make TARGET, where TARGET is one of'
@@ -66,7 +71,7 @@ test-env:
 .PHONY: test-here
 test-here: test-env build ## Run all tests in .venv; PYTEST_ARGS='...' for some of them
 	@echo '==> test: all tests'
-	@$(call source,.venv,); python -m pytest -m 'not docker' $(PYTEST_ARGS)
+	@$(call source,.venv,); $(call pytest,not docker)
 
 .PHONY: docker-test
 docker-test: test-env ## Build the image and run the integration tests in containers (skipped without a Docker engine)
@@ -83,7 +88,7 @@ else
 	[ -e .venv-jazzy/.done-jazzy ] || exit 0; \
 	$(call colcon_build,.venv-jazzy,.venv-jazzy/); \
 	echo '==> test-jazzy: the tests not marked slow, with the versions of Ubuntu 24.04'; \
-	$(call source,.venv-jazzy,.venv-jazzy/); python -m pytest -m 'not slow and not docker' $(PYTEST_ARGS)
+	$(call source,.venv-jazzy,.venv-jazzy/); $(call pytest,not slow and not docker)
 endif
 
 .PHONY: lint

@@ -132,8 +132,18 @@ LINE_BREAK = {
 }  # fmt: skip
 """Its name did not read back."""
 
+ONLY_A_PAYLOAD: dict[str, Any] = {
+    "robot": {
+        "type": "puma560", "mass": 0.0, "motor_inertia": 0.0, "centre_y": 0.0, "inertia_zz": 0.0,
+        "payload_mass": 1.0, "payload_distance": 0.0,
+    },
+    "reference": {"type": "constant"}, "controller": {"type": "ctc"}, "observer": {"type": "none"},
+    "dt": 1e-5, "duration": 2e-4,
+}  # fmt: skip
+"""That its model, the robot without payload, cannot be, was not said in a line."""
 
-@inputs(1000, of=1700, examples=({"data": LINE_BREAK},), data=sizes.flatmap(scenarios))
+
+@inputs(1000, of=1700, examples=({"data": LINE_BREAK}, {"data": ONLY_A_PAYLOAD}), data=sizes.flatmap(scenarios))
 def test_every_run_ends_with_a_status(data: dict[str, Any]) -> object:
     """Completed with all its ticks and finite, or diverged with the time and finite until then.
 

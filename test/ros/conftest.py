@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 import os
+import random
 import signal
 import subprocess
 import time
@@ -36,16 +37,31 @@ from programs import program
 HANG_SECONDS = 120.0
 """Generous ceiling that catches hangs."""
 
+_WORKER = int(os.environ.get("PYTEST_XDIST_WORKER", "gw0").removeprefix("gw"))
+_WORKERS = int(os.environ.get("PYTEST_XDIST_WORKER_COUNT", "1"))
+_OWN_DOMAINS = DOMAINS[_WORKER::_WORKERS]
+"""No domain is used by two workers of pytest-xdist: until a test's run has taken it, it is free to all."""
+
+
+def free_domain() -> int:
+    """A domain of this worker's that nobody on this machine uses."""
+    for number in random.sample(_OWN_DOMAINS, len(_OWN_DOMAINS)):
+        try:
+            Domain(number).release()  # an experiment that is told this number takes it itself
+        except FtcmError:  # in use
+            continue
+        return number
+    pytest.fail("no domain is free")
+
 
 @pytest.fixture
 def domain(monkeypatch: pytest.MonkeyPatch) -> int:
     """A ROS domain that nobody else on this machine uses, set in the environment."""
-    held = Domain()
-    held.release()  # an experiment that is told this number takes it itself
-    monkeypatch.setenv("ROS_DOMAIN_ID", str(held.number))
+    number = free_domain()
+    monkeypatch.setenv("ROS_DOMAIN_ID", str(number))
     monkeypatch.setenv("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
     monkeypatch.setenv("FASTRTPS_DEFAULT_PROFILES_FILE", str(PROFILES))  # else it is found after up to 3 s
-    return held.number
+    return number
 
 
 @pytest.fixture
@@ -63,7 +79,7 @@ def shared_memory(domain: int) -> Callable[[], list[str]]:
 def _nothing_left_in_shared_memory() -> Iterator[None]:
     """Killed nodes leave shared-memory files: remove those of every domain that is free."""
     yield
-    for number in DOMAINS:
+    for number in _OWN_DOMAINS:
         try:
             Domain(number).release()
         except FtcmError:
@@ -232,6 +248,8 @@ def start(tmp_path: Path) -> Iterator[Callable[..., subprocess.Popen[str]]]:
     started: list[subprocess.Popen[str]] = []
 
     def run(name: str, *arguments: str) -> subprocess.Popen[str]:
+        if _WORKERS > 1 and name == "experiment" and not {"--domain-id", "--external-nodes"} & {*arguments}:
+            arguments += ("--domain-id", str(free_domain()))
         process = subprocess.Popen(
             [*program(name), *arguments],
             cwd=tmp_path, env=os.environ.copy(), text=True, stdin=subprocess.DEVNULL,

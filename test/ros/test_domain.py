@@ -23,6 +23,8 @@ from ftcm_ros.transport.domain import (
     remove_dead_shared_memory,
 )
 
+pytestmark = pytest.mark.alone
+
 DOMAIN = 7
 PORT = PORT_BASE + PORT_GAIN * DOMAIN + 11
 

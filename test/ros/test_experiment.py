@@ -259,6 +259,7 @@ def test_a_run_that_diverges_is_a_result(experiment: Experiment, tmp_path: Path)
 
 
 @pytest.mark.slow
+@pytest.mark.alone
 @pytest.mark.skipif(
     "FTCM_TEST_SET_CLOCK" not in os.environ, reason="needs FTCM_TEST_SET_CLOCK=1: sets the time"
 )

@@ -17,7 +17,7 @@ from ftcm_core.simulation import simulate
 from ftcm_ros.bags.reader import read_bag
 from traces import same
 
-pytestmark = pytest.mark.ros
+pytestmark = [pytest.mark.ros, pytest.mark.alone]
 
 COUNT = int(os.environ.get("FTCM_PARALLEL", "10"))
 CEILING = 280.0

@@ -15,6 +15,8 @@ from ftcm_core.errors import FtcmError
 from ftcm_ros.timing import scheduling
 from programs import program
 
+pytestmark = pytest.mark.alone
+
 THREADS = """
 import os, threading, time
 import psutil

@@ -19,7 +19,7 @@ from ftcm_ros.bags.writer import TopicCount
 from ftcm_ros.parameters.node_parameters import NODES
 from soak import GROWTH_LIMIT_KB, check, growth, main
 
-pytestmark = pytest.mark.ros
+pytestmark = [pytest.mark.ros, pytest.mark.alone]
 
 MILLISECOND = 1_000_000
 

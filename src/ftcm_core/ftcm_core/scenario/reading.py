@@ -296,7 +296,11 @@ class _Reader:
             parts["robot"] = self.changed(nominal, plant.pop("robot"), "plant.robot")
         if plant is not None:
             parts["plant"] = self.component(plant, "plant", "plant")
-        parts["model"] = self.changed(nominal.unloaded(), robots["model"], "model")
+        try:
+            unloaded = nominal.unloaded()
+        except ParameterError as error:
+            raise self.fail("robot", f"its model starts from it without payload, and then {error}") from None
+        parts["model"] = self.changed(unloaded, robots["model"], "model")
         injection = self._mapping_at(rest, "injection")
         self.check_keys(injection, "injection", list(LISTS))
         for key, kind in LISTS.items():
