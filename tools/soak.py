@@ -25,6 +25,7 @@ from rosbags.rosbag2 import Reader
 from ftcm_core.errors import FtcmError
 from ftcm_core.report.results import new_folder
 from ftcm_core.scenario import Scenario, load
+from ftcm_ros.analysis.timing import by_process
 from ftcm_ros.bags.writer import TopicCount
 from ftcm_ros.run.experiment import build_parser
 from ftcm_ros.run.graph_run import Interrupted, Run, use_domain
@@ -133,6 +134,7 @@ def run_for(scenario: Scenario, options: argparse.Namespace) -> Run:
             f"{scenario.duration:g} s; choose another --folder"
         )
     arguments = ["--mode", "real_time", "--priority", str(options.priority)]
+    arguments.append("--no-composed" if options.processes else "--composed")
     run_options = build_parser().parse_args(arguments)
     run_options.stop_requested = False
 
@@ -189,7 +191,10 @@ def figures(
     size = sum(f.stat().st_size for f in run.bag.iterdir()) / 1e6
     messages = sum(c.messages for c in counts.values())
     missing = sum(c.missing for c in counts.values())
-    busy = {n: f"{float(h['cpu_seconds']) / run.timing['run_seconds']:.2f}" for n, h in run.health.items()}
+    busy = {
+        name: f"{seconds / run.timing['run_seconds']:.2f}"
+        for name, seconds in by_process(run.health, "cpu_seconds").items()
+    }
     share = 100 * missed / (ticks + int(plant["plant_overrun"]))
     return [
         f"{scenario.duration:g} s of real time at {1 / scenario.dt:g} Hz, controller "
@@ -234,6 +239,7 @@ def main(argv: list[str] | None = None) -> int:
     parser.add_argument("--every", type=float, default=5.0, help="time between two samples of the memory, s")
     parser.add_argument("--set", action="append", default=[], metavar="PATH=VALUE", help="e.g. seed=3")
     parser.add_argument("--priority", type=int, default=0, help="SCHED_FIFO priority of the nodes")
+    parser.add_argument("--processes", action="store_true", help="a process for each node; default: composed")
     parser.add_argument(
         "--folder", type=Path, help="new folder for bag, logs and memory.csv (default: in runs)"
     )

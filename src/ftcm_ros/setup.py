@@ -29,6 +29,7 @@ setup(
     entry_points={
         "console_scripts": [
             *(f"{node} = ftcm_ros.nodes.{node}:main" for node in NODES),
+            "composed = ftcm_ros.nodes.composed:main",
             "experiment = ftcm_ros.run.experiment:main",
             "analyse = ftcm_ros.analysis.analyse:main",
         ]

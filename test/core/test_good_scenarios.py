@@ -143,7 +143,9 @@ ONLY_A_PAYLOAD: dict[str, Any] = {
 """That its model, the robot without payload, cannot be, was not said in a line."""
 
 
-@inputs(1000, of=1700, examples=({"data": LINE_BREAK}, {"data": ONLY_A_PAYLOAD}), data=sizes.flatmap(scenarios))
+@inputs(
+    1000, of=1700, examples=({"data": LINE_BREAK}, {"data": ONLY_A_PAYLOAD}), data=sizes.flatmap(scenarios)
+)
 def test_every_run_ends_with_a_status(data: dict[str, Any]) -> object:
     """Completed with all its ticks and finite, or diverged with the time and finite until then.
 

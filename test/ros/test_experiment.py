@@ -105,8 +105,11 @@ def test_the_paper_experiment_over_the_graph(experiment: Experiment, tmp_path: P
     assert "missed deadlines" not in table
 
 
-def test_real_time_counts_every_miss_and_holds_the_torque(experiment: Experiment, tmp_path: Path) -> None:
-    run = experiment("paper", "--controllers", "ftcm", "--mode", "real_time", "--set", "duration=3")
+@pytest.mark.parametrize("nodes", ["--composed", "--no-composed"])
+def test_real_time_counts_every_miss_and_holds_the_torque(
+    experiment: Experiment, tmp_path: Path, nodes: str
+) -> None:
+    run = experiment("paper", "--controllers", "ftcm", "--mode", "real_time", nodes, "--set", "duration=3")
     assert run.returncode == 0, run.stderr
     bag = bag_of(tmp_path, "ftcm")
     plant = bag.nodes["plant"]
@@ -114,8 +117,11 @@ def test_real_time_counts_every_miss_and_holds_the_torque(experiment: Experiment
     trace = bag.trace
     assert trace.ticks == 3001
     summary = json.loads((tmp_path / "runs" / "test" / "summary.json").read_text())
-    assert set(summary["timing_us"]["ftcm"]) == {"jitter", "observer", "controller", "injector", "chain"}
-    assert summary["timing_us"]["ftcm"]["chain"]["p50"] > 0
+    hops = {"observer", "controller", "injector", "chain"} if nodes == "--no-composed" else set()
+    assert set(summary["timing_us"]["ftcm"]) == {"jitter", *hops}
+    assert all(summary["timing_us"]["ftcm"][hop]["p50"] > 0 for hop in hops)
+    processes = {"composed", "recorder"} if nodes == "--composed" else set(NODES)
+    assert set(summary["timing"]["ftcm"]["processes"]) == processes
     # The effort reported at tick k+1 is the command of tick k, or one that was held.
     commands = trace.command.tolist()
     held = braked = 0
@@ -160,13 +166,14 @@ def test_real_time_without_a_miss_is_the_in_process_run(experiment: Experiment, 
 
 
 @pytest.mark.slow
+@pytest.mark.parametrize("nodes", ["--composed", "--no-composed"])
 @pytest.mark.parametrize("mode", ["lockstep", "real_time"])
 def test_the_controller_is_swapped_while_running(
-    live: Callable[..., Any], watcher: Any, tmp_path: Path, mode: str
+    live: Callable[..., Any], watcher: Any, tmp_path: Path, mode: str, nodes: str
 ) -> None:
     overrides = [f"duration={20 if mode == 'lockstep' else 8}", "injection.faults.0.start=2"]
     arguments = [a for o in overrides for a in ("--set", o)]
-    run = live("paper", "--mode", mode, "--controllers", "ftcm", *arguments)
+    run = live("paper", "--mode", mode, "--controllers", "ftcm", nodes, *arguments)
     run.first_tick(("controller", "ftcm"), ("observer", "do"))
     assert watcher.set("controller", controller="scm") == [
         (False, "no controller 'scm'; did you mean 'smc'?")
@@ -287,23 +294,36 @@ def test_the_system_time_is_set_back_for_longer_than_a_node_may_be_silent(
     assert float(bag.nodes["plant"]["clock_stepped_seconds"]) == pytest.approx(0.0, abs=0.1)
 
 
+@pytest.mark.parametrize(
+    "together",
+    [
+        pytest.param((), id="processes"),
+        pytest.param(("plant", "observer", "controller", "injector"), id="composed"),
+        pytest.param(("plant", "observer", "injector"), id="the controller outside"),
+        pytest.param(("observer", "controller"), id="the plant outside", marks=pytest.mark.slow),
+    ],
+)
 def test_nodes_that_somebody_else_starts(
-    start: Start, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, domain: int
+    start: Start, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, domain: int, together: tuple[str, ...]
 ) -> None:
     monkeypatch.setenv("FTCM_HEARTBEAT", str(tmp_path / "heartbeat"))
-    arguments = ["--controllers", "smc", "--set", "duration=0.5", "--name", "test", "--no-figures"]
+    arguments = ["--controllers", "ftcm", "--set", "duration=0.5", "--name", "test", "--no-figures"]
     process = start("experiment", "paper", "--external-nodes", *arguments)
     files = {n: tmp_path / "runs" / "test" / "nodes" / f"{n}.yaml" for n in NODES}
     while not all(f.exists() for f in files.values()):
         assert process.poll() is None, process.communicate()
         time.sleep(0.1)
-    nodes = [start(f"nodes.{n}", "--ros-args", "--params-file", str(f)) for n, f in files.items()]
+    alone = [n for n in NODES if n not in together]
+    nodes = [start(f"nodes.{n}", "--ros-args", "--params-file", str(files[n])) for n in alone]
+    if together:
+        given = [word for n in together for word in ("--params-file", str(files[n]))]
+        nodes.append(start("nodes.composed", "--nodes", *together, "--ros-args", *given))
     _, err = process.communicate(timeout=120)
     assert process.returncode == 0, err
-    bag = bag_of(tmp_path, "smc")
+    bag = bag_of(tmp_path, "ftcm")
     assert bag.missing == {}
-    assert same(bag.trace, simulate(load("paper", ["duration=0.5"], controller="smc")))
-    assert [n.poll() for n in nodes] == [None] * 5
+    assert same(bag.trace, simulate(load("paper", ["duration=0.5"])))
+    assert [n.poll() for n in nodes] == [None] * (len(alone) + bool(together))
     assert (tmp_path / "heartbeat").exists()
 
 

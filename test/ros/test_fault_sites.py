@@ -46,10 +46,10 @@ EVERYTHING = {
 }
 
 
-def over_the_graph(experiment: Callable[..., Any], folder: Path, scenario: Scenario) -> Any:
+def over_the_graph(experiment: Callable[..., Any], folder: Path, scenario: Scenario, *arguments: str) -> Any:
     """Run it; return the bag."""
     (folder / "sites.yaml").write_text(scenario.to_yaml(), encoding="utf-8")
-    run = experiment("sites.yaml")
+    run = experiment("sites.yaml", *arguments)
     assert run.returncode == 0, run.stderr
     bag = read_bag(folder / "runs" / "test" / "bags" / scenario.controller.type_name)
     assert bag.missing == {}
@@ -57,10 +57,11 @@ def over_the_graph(experiment: Callable[..., Any], folder: Path, scenario: Scena
     return bag
 
 
-def test_a_fault_of_every_site_at_once(experiment: Callable[..., Any], tmp_path: Path) -> None:
+@pytest.mark.parametrize("nodes", ["--composed", "--no-composed"])
+def test_a_fault_of_every_site_at_once(experiment: Callable[..., Any], tmp_path: Path, nodes: str) -> None:
     scenario = from_mapping(EVERYTHING)
     assert {fault.site for fault in scenario.faults} == {"actuator", "sensor", "dynamics", "communication"}
-    bag = over_the_graph(experiment, tmp_path, scenario)
+    bag = over_the_graph(experiment, tmp_path, scenario, nodes)
     expected = simulate(scenario)
     assert list(bag.trace.columns) == list(COLUMNS)
     assert same(bag.trace, expected)
@@ -72,13 +73,16 @@ def test_a_fault_of_every_site_at_once(experiment: Callable[..., Any], tmp_path:
 
 
 @pytest.mark.slow
+@pytest.mark.parametrize("nodes", ["--composed", "--no-composed"])
 @pytest.mark.parametrize("fault", FAULTS[1:], ids=lambda f: f.get("topic", f["type"]))
-def test_a_fault_by_itself(experiment: Callable[..., Any], tmp_path: Path, fault: dict[str, Any]) -> None:
+def test_a_fault_by_itself(
+    experiment: Callable[..., Any], tmp_path: Path, fault: dict[str, Any], nodes: str
+) -> None:
     """With an ideal sensor and no detector, so that what the fault itself needs is not there by others."""
     scenario = from_mapping(
         {**EVERYTHING, "detector": None, "sensor": None, "injection": {"faults": [fault]}, "torque_delay": 0}
     )
-    bag = over_the_graph(experiment, tmp_path, scenario)
+    bag = over_the_graph(experiment, tmp_path, scenario, nodes)
     assert ("joint_torque" in bag.trace.columns) == (fault["type"] != "payload_pickup")
     assert same(bag.trace, simulate(scenario))
     assert not same(bag.trace, simulate(replace(scenario, faults=())))

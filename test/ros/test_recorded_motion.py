@@ -94,7 +94,7 @@ def test_the_recorded_torques_give_the_recorded_motion(
     live: Callable[..., Any], tmp_path: Path, overrides: list[str], stopped: str, length: float
 ) -> None:
     arguments = (a for o in (*overrides, "duration=4") for a in ("--set", o))
-    run = live("paper", "--controllers", "ftcm", "--mode", "real_time", *arguments)
+    run = live("paper", "--controllers", "ftcm", "--mode", "real_time", "--no-composed", *arguments)
     run.first_tick(("controller", "ftcm"), ("observer", "do"))
     pid = node_pids(run.process.pid)[stopped]
     for _ in range(2):

@@ -60,8 +60,8 @@ def test_of_a_killed_recorder_only_the_last_second_is_lost(
 
     watcher.node.create_subscription(JointState, "joint_states", on_measurement, 1)
     process = start(
-        "experiment", *SCENARIO, "--storage", storage, "--mode", mode, "--name", "test", "--no-figures",
-        "--domain-id", str(domain),
+        "experiment", *SCENARIO, "--storage", storage, "--mode", mode, "--no-composed", "--name", "test",
+        "--no-figures", "--domain-id", str(domain),
     )  # fmt: skip
     assert process.stderr is not None
     next(line for line in process.stderr if "ticks/s" in line)
@@ -78,8 +78,8 @@ def test_of_a_killed_recorder_only_the_last_second_is_lost(
     assert "warning: ftcm: bag was not closed; recovered: complete to t = " in err
     assert "node 'recorder' was ended by SIGKILL" in err.splitlines()[-1]
     bag = read_bag(tmp_path / "runs" / "test" / "bags" / "ftcm")
-    # Of its last measurement the stopped plant may have served the watcher, but not yet the recorder. In real
-    # time it does not wait for the recorder, and while it is stopped it cannot send again what that has missed.
+    # Of its last measurement the stopped plant may have served the watcher, but not yet the recorder. In
+    # real time it waits for no recorder, and while it is stopped it cannot send again what that has missed.
     last_second = 1_000_000 if mode == "lockstep" else 1_000_000_000
     assert bag.trace.time_ns[-1] >= stamps[-1] - last_second > 0
     if mode == "lockstep":

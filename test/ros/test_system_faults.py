@@ -51,7 +51,7 @@ if node == "recorder":
 if node and "--params-file" in words:
     run = Path(words[words.index("--params-file") + 1]).parent.name
     victim, fault, tick = json.loads(os.environ["FAULTS"]).get(run, ("", "", 0))
-    if victim == node:
+    if victim == node or (node == "composed" and victim != "recorder"):
         from ftcm_core.simulation import stages
         from ftcm_ros.bags import writer
 
@@ -62,13 +62,13 @@ if node and "--params-file" in words:
             "injector": (stages.InjectorStage, "step"),
             "detector": (stages.DetectorStage, "step"),
             "recorder": (writer.TopicCount, "add"),
-        }[node]
+        }[victim]
         original, calls = getattr(owner, name), 0
 
         def step(self, *arguments):
             global calls
             calls += 1
-            if calls == tick * (5 if node == "recorder" else 1) + 1:
+            if calls == tick * (5 if victim == "recorder" else 1) + 1:
                 if fault == "exception":
                     raise RuntimeError("injected")
                 if fault == "hang":
@@ -93,7 +93,7 @@ class Fault(NamedTuple):
     kind: str
 
 
-def named(fault: Fault, tick: int, line: str) -> bool:
+def named(fault: Fault, tick: int, line: str, composed: bool) -> bool:
     """Whether a line of the experiment names run, node and cause."""
     at = "" if fault.node == "recorder" else f"{tick}: RuntimeError: injected"  # it is behind the others
     cause = {
@@ -102,7 +102,10 @@ def named(fault: Fault, tick: int, line: str) -> bool:
         "hang": f"has made no tick for {PATIENCE:g} s",
         "exception": f"its last words: {fault.node}: at tick {at}",
     }[fault.kind]
-    return line.startswith(f"experiment: error: {fault.controller}: node {fault.node!r} ") and cause in line
+    node = fault.node
+    if composed and node != "recorder" and fault.kind.startswith("SIG"):
+        node = "composed" if fault.kind == "SIGKILL" else "plant"  # the first of those that are stopped
+    return line.startswith(f"experiment: error: {fault.controller}: node {node!r} ") and cause in line
 
 
 def alive_in(folder: Path) -> list[str]:
@@ -130,6 +133,12 @@ ROUNDS = {
     "recorder:exception plant:exception observer:SIGKILL",
     "3 real_time": "controller:SIGSTOP controller:hang",
     "detector lockstep": "detector:SIGKILL detector:exception detector:SIGSTOP detector:hang",
+    "quick composed lockstep": "observer:exception controller:SIGKILL",
+    "1 composed lockstep": "plant:exception injector:hang controller:exception "
+    "observer:SIGSTOP injector:exception observer:hang",
+    "2 composed lockstep": "recorder:exception recorder:SIGSTOP",
+    "1 composed real_time": "plant:exception observer:exception controller:hang "
+    "recorder:exception injector:SIGKILL",
 }
 """Experiments: a fault in the run of each controller; together each node and fault in both modes."""
 
@@ -145,7 +154,7 @@ def test_a_fault_ends_its_run_only(
     shared_memory: Callable[[], list[str]],
     name: str,
 ) -> None:
-    mode = name.split()[1]
+    mode, composed = name.split()[-1], "composed" in name
     faults = [Fault(law, *pair.split(":")) for law, pair in zip(LAWS, ROUNDS[name].split())]
     without = LAWS[len(faults) : len(faults) + 1] if name == "quick lockstep" else ()
     overrides = [f"duration={DURATION[mode]}"]
@@ -164,6 +173,7 @@ def test_a_fault_ends_its_run_only(
     process = start(
         "experiment", "paper", "--mode", mode, "--patience", str(PATIENCE), "--name", "test", "--no-figures",
         "--domain-id", str(domain), *(a for o in overrides for a in ("--set", o)),
+        "--composed" if composed else "--no-composed",
         "--controllers", *(f.controller for f in faults), *without,
     )  # fmt: skip
     _, err = process.communicate(timeout=CEILING * len(faults))
@@ -174,8 +184,9 @@ def test_a_fault_ends_its_run_only(
     folder = tmp_path / "runs" / "test"
     for fault, line in zip(faults, lines):
         tick = ticks[fault.controller]
-        assert named(fault, tick, line), f"{fault} at tick {tick}: {line}"
-        log = (folder / "logs" / fault.controller / f"{fault.node}.log").read_text()
+        assert named(fault, tick, line, composed), f"{fault} at tick {tick}: {line}"
+        process_name = "composed" if composed and fault.node != "recorder" else fault.node
+        log = (folder / "logs" / fault.controller / f"{process_name}.log").read_text()
         assert ("Traceback" in log) == (fault.kind == "exception")
         if fault.node == "recorder" and fault.kind == "SIGKILL":
             continue  # what is kept: test_recovery.py
@@ -184,6 +195,13 @@ def test_a_fault_ends_its_run_only(
         every_tick = {name: stamps for name, stamps in bag.stamps.items() if name != TRUE_STATE.name}
         if fault.node == "recorder" and fault.kind == "exception":  # all it had written, that message too
             assert sum(map(len, every_tick.values())) == 5 * tick + 1
+            continue
+        if composed and fault.kind == "SIGKILL":  # what the recorder had not received cannot be sent again
+            expected = simulate(load("paper", overrides, controller=fault.controller))
+            there = ~np.isnan(bag.trace.position[:, 0])
+            assert there.any()
+            if mode == "lockstep":
+                assert np.array_equal(bag.trace.position[there], expected.position[: len(there)][there])
             continue
         if mode == "lockstep":
             assert bag.trace.ticks >= tick
@@ -208,8 +226,8 @@ def test_a_node_stopped_for_a_moment_misses_nothing(start: Start, tmp_path: Path
     """Each node in turn, for longer than any scheduler keeps one waiting: what it finds then, it answers."""
     duration = 30.0 if mode == "lockstep" else 12.0
     process = start(
-        "experiment", "paper", "--controllers", "ftcm", "--mode", mode, "--name", "test", "--no-figures",
-        "--set", f"duration={duration}",
+        "experiment", "paper", "--controllers", "ftcm", "--mode", mode, "--no-composed", "--name", "test",
+        "--no-figures", "--set", f"duration={duration}",
     )  # fmt: skip
     assert process.stderr is not None
     next(line for line in process.stderr if "ticks/s" in line)

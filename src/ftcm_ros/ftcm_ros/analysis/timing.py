@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from pathlib import Path
 
 import numpy as np
@@ -24,7 +25,8 @@ def hop_times(bag: BagContents) -> dict[str, npt.NDArray[np.float64]]:
     ``jitter``: interval between two measurements less dt (not in lockstep, which has no clock).
     ``observer``, ``controller``, ``injector``, ``detector``: from the message that the node waits for to its
     own.
-    ``chain``: from measurement to disturbance. A topic that is not recorded gives no samples.
+    ``chain``: from measurement to disturbance. A topic that is not recorded gives no samples, nor does a hop
+    between nodes of one process: there messages are published after the hand-over.
     """
     stamps, published = bag.stamps, bag.published
     found: dict[str, npt.NDArray[np.float64]] = {}
@@ -40,7 +42,11 @@ def hop_times(bag: BagContents) -> dict[str, npt.NDArray[np.float64]]:
         "detector": (TORQUES, DETECTION),
         "chain": (JOINT_STATES, DISTURBANCE),
     }
+    process = {node: values.get("process", node) for node, values in bag.nodes.items()}
     for name, (before, after) in hops.items():
+        writers = [topic.publishers[0] for topic in (before, after)]
+        if len({process.get(node, node) for node in writers}) < 2:
+            continue
         if before.name in stamps and after.name in stamps:
             _, i, j = np.intersect1d(stamps[before.name], stamps[after.name], return_indices=True)
             found[name] = (published[after.name][j] - published[before.name][i]) / 1000.0
@@ -58,6 +64,25 @@ def percentiles(samples: dict[str, npt.NDArray[np.float64]]) -> dict[str, dict[s
     }
 
 
+def by_process(nodes: Mapping[str, Mapping[str, str]], key: str) -> dict[str, float]:
+    """Return what the nodes' diagnostics say of their processes.
+
+    Args:
+        nodes: diagnostics of each node.
+        key: ``cpu_seconds`` or ``waited_seconds``, s.
+
+    Returns:
+        The value of each process; its name is that of its node, ``composed`` for one with several.
+    """
+    processes: dict[str, dict[str, float]] = {}
+    for name, values in nodes.items():
+        processes.setdefault(values.get("process", name), {})[name] = float(values.get(key, 0.0))
+    return {
+        "composed" if len(found) > 1 else next(iter(found)): max(found.values())
+        for found in processes.values()
+    }
+
+
 def timing_table(runs: list[tuple[str, BagContents]]) -> str:
     """Return what the plants of real-time runs have counted, in Markdown; nothing if there are none."""
     causes = [cause.replace("_", " ") for cause in CAUSES]
@@ -70,7 +95,7 @@ def timing_table(runs: list[tuple[str, BagContents]]) -> str:
             " / ".join(plant.get(f"{quantity}_{p}_us", "–") for p in PERCENTILES)
             for quantity in ("jitter", "latency")
         )
-        busy = sum(float(node.get("cpu_seconds", 0.0)) for node in bag.nodes.values())
+        busy = sum(by_process(bag.nodes, "cpu_seconds").values())
         processors = f"{busy / float(plant['elapsed_seconds']):.2f}"
         rows.append([label, plant["ticks"], *(plant[c] for c in CAUSES), *quantities, processors])
     if len(rows) == 1:
@@ -99,6 +124,8 @@ def write_figure(runs: list[tuple[str, dict[str, npt.NDArray[np.float64]]]], fil
         for n in ("jitter", "observer", "controller", "injector", "detector", "chain")
         if any(n in samples for _, samples in runs)
     ]
+    if not names:
+        return
     figure = Figure(figsize=(2.4 * len(names) + 1.0, 3.6), layout="constrained")
     FigureCanvasAgg(figure)
     titles = {"jitter": "tick jitter, absolute", "chain": "whole chain"}

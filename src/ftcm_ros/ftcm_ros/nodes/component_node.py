@@ -14,19 +14,20 @@ from ftcm_core.registry import Component, components
 from ftcm_core.signals import NANOSECONDS, Vector
 from ftcm_ros.nodes.reactive_node import ReactiveNode
 from ftcm_ros.parameters.component_parameters import ComponentParameters
+from ftcm_ros.transport.composed import Composition
 from ftcm_ros.transport.topics import CHANGES
 
 
 class ComponentNode(ReactiveNode):
     """Applies a changed component between two ticks and announces it with its first tick."""
 
-    def __init__(self, kind: str) -> None:
+    def __init__(self, kind: str, composition: Composition | None = None) -> None:
         """Declare the parameters of every component of the kind.
 
         Raises:
             FtcmError: the scenario has none of it, or a parameter is not valid.
         """
-        super().__init__(kind)
+        super().__init__(kind, composition)
         self.kind = kind
         initial: Component | None = getattr(self.scenario, kind)
         if initial is None:

@@ -6,7 +6,6 @@ from __future__ import annotations
 import contextlib
 import math
 import sys
-from collections.abc import Callable
 from typing import Any, cast
 
 from ftcm_core.controllers import Controller
@@ -16,19 +15,21 @@ from ftcm_core.signals import Measurement
 from ftcm_core.simulation.stages import ControllerStage
 from ftcm_ros.nodes.component_node import ComponentNode
 from ftcm_ros.nodes.main import run
+from ftcm_ros.nodes.reactive_node import Answer
 from ftcm_ros.transport.codec import JointSample
+from ftcm_ros.transport.composed import Composition
 from ftcm_ros.transport.topics import ESTIMATE, JOINT_STATES, REFERENCE, TORQUES
 
 
 class ControllerNode(ComponentNode):
     """Runs the control law; a law that uses no observer does not wait for the estimate."""
 
-    def __init__(self) -> None:
+    def __init__(self, composition: Composition | None = None) -> None:
         """Subscribe measurements and estimates, publish torques and the reference."""
-        super().__init__("controller")
+        super().__init__("controller", composition)
         self.listen({JOINT_STATES: ("position", "velocity", "effort"), ESTIMATE: ("effort",)})
-        self._publish = self.plane.publisher(TORQUES)
-        self._publish_reference = self.plane.publisher(REFERENCE)
+        self._torques = self.plane.sender(TORQUES, self.codec.torque)
+        self._reference = self.plane.sender(REFERENCE, self.codec.motion)
         self._zeros = (0.0,) * self.scenario.robot.joints
         self._limits = self.scenario.limits
         self.beyond_limits = 0
@@ -58,9 +59,7 @@ class ControllerNode(ComponentNode):
         with contextlib.suppress(ArithmeticError, ValueError):  # the answer meets it again, and says so
             self.stage.prepare(time_ns, Measurement(*sample[1:]))
 
-    def answer(
-        self, time_ns: int, values: dict[str, JointSample]
-    ) -> list[tuple[Callable[[Any], None], bytes]]:
+    def answer(self, time_ns: int, values: dict[str, JointSample]) -> Answer:
         """One torque and the reference it followed."""
         estimate = values.get(ESTIMATE.name)
         try:
@@ -78,11 +77,8 @@ class ControllerNode(ComponentNode):
             self.last_beyond = f"t = {time_ns / 1e9:g} s: {beyond}"
         self.announce(time_ns, self.stage.controller, u)
         return [
-            (self._publish, self.codec.torque.encode(time_ns, u)),
-            (
-                self._publish_reference,
-                self.codec.motion.encode(time_ns, reference.position, reference.velocity),
-            ),
+            (self._torques.send, self._torques.ready(time_ns, u)),
+            (self._reference.send, self._reference.ready(time_ns, reference.position, reference.velocity)),
         ]
 
     def health(self) -> tuple[str, str, dict[str, Any]]:

@@ -5,7 +5,6 @@ from __future__ import annotations
 
 import math
 import sys
-from collections.abc import Callable
 from typing import Any, cast
 
 from ftcm_core.detectors import Detector
@@ -14,24 +13,26 @@ from ftcm_core.signals import Detection, Measurement
 from ftcm_core.simulation.stages import DetectorStage
 from ftcm_ros.nodes.component_node import ComponentNode
 from ftcm_ros.nodes.main import run
+from ftcm_ros.nodes.reactive_node import Answer
 from ftcm_ros.transport.codec import JointSample
+from ftcm_ros.transport.composed import Composition
 from ftcm_ros.transport.topics import DETECTION, ESTIMATE, JOINT_STATES, TORQUES
 
 
 class DetectorNode(ComponentNode):
     """Runs the fault detector; one that uses no observer does not wait for the estimate."""
 
-    def __init__(self) -> None:
+    def __init__(self, composition: Composition | None = None) -> None:
         """Subscribe what a detector looks at, publish residuals and alarms.
 
         Raises:
             FtcmError: the scenario has no detector.
         """
-        super().__init__("detector")
+        super().__init__("detector", composition)
         self.listen(
             {JOINT_STATES: ("position", "velocity", "effort"), ESTIMATE: ("effort",), TORQUES: ("effort",)}
         )
-        self._publish = self.plane.publisher(DETECTION)
+        self._detection = self.plane.sender(DETECTION, self.codec.detection)
         self._zeros = (0.0,) * self.scenario.robot.joints
         self.alarms = 0
         """Ticks with an alarm."""
@@ -57,9 +58,7 @@ class DetectorNode(ComponentNode):
         self.stage.swap(detector)
         self._require(detector)
 
-    def answer(
-        self, time_ns: int, values: dict[str, JointSample]
-    ) -> list[tuple[Callable[[Any], None], bytes]]:
+    def answer(self, time_ns: int, values: dict[str, JointSample]) -> Answer:
         """One set of residuals and alarms."""
         estimate = values.get(ESTIMATE.name)
         try:
@@ -75,7 +74,7 @@ class DetectorNode(ComponentNode):
         self.alarms += any(found.alarm)
         self.last = found
         self.announce(time_ns, self.stage.detector, found.residual)
-        return [(self._publish, self.codec.detection.encode(time_ns, found.alarm, found.residual))]
+        return [(self._detection.send, self._detection.ready(time_ns, found.alarm, found.residual))]
 
     def health(self) -> tuple[str, str, dict[str, Any]]:
         """Besides, which joints have an alarm."""

@@ -5,25 +5,24 @@ from __future__ import annotations
 
 import math
 import sys
-from collections.abc import Callable
-from typing import Any
 
 from ftcm_core.simulation.stages import InjectorStage
 from ftcm_ros.nodes.main import run
-from ftcm_ros.nodes.reactive_node import ReactiveNode
+from ftcm_ros.nodes.reactive_node import Answer, ReactiveNode
 from ftcm_ros.transport.codec import JointSample
+from ftcm_ros.transport.composed import Composition
 from ftcm_ros.transport.topics import DISTURBANCE, JOINT_STATES, TORQUES, TRUE_STATE
 
 
 class InjectorNode(ReactiveNode):
     """Adds the scenario's disturbances and faults as joint torques."""
 
-    def __init__(self) -> None:
+    def __init__(self, composition: Composition | None = None) -> None:
         """Subscribe the robot's true motion and torques, publish the added torque."""
-        super().__init__("injector")
+        super().__init__("injector", composition)
         self._motion = TRUE_STATE if self.scenario.hidden else JOINT_STATES
         self.listen({self._motion: ("position", "velocity"), TORQUES: ("effort",)})
-        self._publish = self.plane.publisher(DISTURBANCE)
+        self._disturbance = self.plane.sender(DISTURBANCE, self.codec.torque)
         self.configure()
 
     def configure(self) -> None:
@@ -31,9 +30,7 @@ class InjectorNode(ReactiveNode):
         super().configure()
         self.stage = InjectorStage(self.scenario)
 
-    def answer(
-        self, time_ns: int, values: dict[str, JointSample]
-    ) -> list[tuple[Callable[[Any], None], bytes]]:
+    def answer(self, time_ns: int, values: dict[str, JointSample]) -> Answer:
         """One disturbance."""
         state = values[self._motion.name]
         try:
@@ -45,7 +42,7 @@ class InjectorNode(ReactiveNode):
         ) as error:  # a fault driven out of its domain: the run has diverged
             self.get_logger().error(f"tick {time_ns // self.scenario.dt_ns}: {error}")
             d = (math.nan,) * self.scenario.robot.joints
-        return [(self._publish, self.codec.torque.encode(time_ns, d))]
+        return [(self._disturbance.send, self._disturbance.ready(time_ns, d))]
 
 
 def main() -> None:

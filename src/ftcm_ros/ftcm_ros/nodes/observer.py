@@ -5,8 +5,7 @@ from __future__ import annotations
 
 import math
 import sys
-from collections.abc import Callable
-from typing import Any, cast
+from typing import cast
 
 from ftcm_core.observers import Observer
 from ftcm_core.registry import Component
@@ -14,18 +13,20 @@ from ftcm_core.signals import Measurement
 from ftcm_core.simulation.stages import ObserverStage
 from ftcm_ros.nodes.component_node import ComponentNode
 from ftcm_ros.nodes.main import run
+from ftcm_ros.nodes.reactive_node import Answer
 from ftcm_ros.transport.codec import JointSample
+from ftcm_ros.transport.composed import Composition
 from ftcm_ros.transport.topics import ESTIMATE, JOINT_STATES
 
 
 class ObserverNode(ComponentNode):
     """Runs the disturbance observer."""
 
-    def __init__(self) -> None:
+    def __init__(self, composition: Composition | None = None) -> None:
         """Subscribe measurements, publish estimates."""
-        super().__init__("observer")
+        super().__init__("observer", composition)
         self.listen({JOINT_STATES: ("position", "velocity", "effort")})
-        self._publish = self.plane.publisher(ESTIMATE)
+        self._estimate = self.plane.sender(ESTIMATE, self.codec.torque)
         self.configure()
 
     def configure(self) -> None:
@@ -38,9 +39,7 @@ class ObserverNode(ComponentNode):
         """Swap the observer."""
         self.stage.swap(cast(Observer, component))
 
-    def answer(
-        self, time_ns: int, values: dict[str, JointSample]
-    ) -> list[tuple[Callable[[Any], None], bytes]]:
+    def answer(self, time_ns: int, values: dict[str, JointSample]) -> Answer:
         """One estimate."""
         try:
             tau_hat = self.stage.step(Measurement(*values[JOINT_STATES.name][1:]), self.elapsed)
@@ -48,7 +47,7 @@ class ObserverNode(ComponentNode):
             self.get_logger().error(f"tick {time_ns // self.scenario.dt_ns}: {error}")
             tau_hat = (math.nan,) * self.scenario.robot.joints
         self.announce(time_ns, self.stage.observer, tau_hat)
-        return [(self._publish, self.codec.torque.encode(time_ns, tau_hat))]
+        return [(self._estimate.send, self._estimate.ready(time_ns, tau_hat))]
 
 
 def main() -> None:

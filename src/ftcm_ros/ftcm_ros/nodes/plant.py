@@ -31,6 +31,8 @@ from ftcm_ros.nodes.suite_node import POLL_NS, SuiteNode
 from ftcm_ros.timing.clocks import ClockWatch
 from ftcm_ros.timing.durations import Durations
 from ftcm_ros.timing.pacing import PACERS, Misses
+from ftcm_ros.transport.codec import JointSample
+from ftcm_ros.transport.composed import Composition
 from ftcm_ros.transport.topics import (
     CLOCK,
     DISTURBANCE,
@@ -59,25 +61,25 @@ class Input:
 class PlantNode(SuiteNode):
     """Simulates the robot, one tick after the other, in lockstep or in real time."""
 
-    def __init__(self) -> None:
+    def __init__(self, composition: Composition | None = None) -> None:
         """Subscribe torque and disturbance, publish the measurement.
 
         Raises:
             FtcmError: a parameter is not valid.
         """
-        super().__init__("plant")
+        super().__init__("plant", composition)
         self.mode: str = self.setting("mode")
         self.recorder_window: int = self.setting("recorder_window")
         timeout: int = self.setting("torque_timeout")
         if timeout < 0:
             raise FtcmError(f"torque_timeout: {timeout} is out of range; expected ticks, or 0: never")
         self._torque_timeout_ns = timeout * self.scenario.dt_ns or sys.maxsize
-        self._publish = self.plane.publisher(JOINT_STATES)
-        self._publish_truth = self.plane.publisher(TRUE_STATE)
+        self._measurements = self.plane.sender(JOINT_STATES, self.codec.state)
+        self._truths = self.plane.sender(TRUE_STATE, self.codec.state)
         self._publish_clock = self.plane.publisher(CLOCK)
         self._publish_scenario = self.plane.publisher(SCENARIO)
         for topic in (TORQUES, DISTURBANCE):
-            self.plane.subscribe(topic, self._handler(topic))
+            self.subscribe(topic, ("effort",), self._taker(topic))
         self.plane.subscribe(RECORDED, self._on_recorded)
         self._clocks = ClockWatch()
         self.state = "waiting"
@@ -119,7 +121,7 @@ class PlantNode(SuiteNode):
         self._publish_scenario(String(data=self.scenario.to_yaml()))
         self._began = time.monotonic()
         self.elapsed = 0.0
-        self._encode(0, reveal=self.scenario.hidden)
+        self._prepare(0, reveal=self.scenario.hidden)
         self._begin_tick()
         self.pacer.begin()
 
@@ -141,14 +143,15 @@ class PlantNode(SuiteNode):
     # A tick.
 
     def _begin_tick(self) -> None:
-        """Publish the measurement, which has been encoded ahead of time."""
+        """Publish the measurement, which has been made ready ahead of time."""
         self._published_at = time.monotonic_ns()
         late = self.pacer.late_by(self._published_at)
         if late is not None and self.tick:
             self.lateness.add(late)
-        self._publish(self._measurement)
-        if self._truth:
-            self._publish_truth(self._truth)
+        measurement, truth = self._measurement, self._truth
+        self._measurements.send(measurement)
+        if truth:
+            self._truths.send(truth)
         if self.time_ns % CLOCK_PERIOD_NS == 0:
             sec, nanosec = divmod(self.time_ns, NANOSECONDS)
             self._publish_clock(
@@ -166,7 +169,10 @@ class PlantNode(SuiteNode):
     def _go_on(self) -> None:
         """Where no clock has to be kept, end the tick as soon as it is done."""
         if self.pacer.waits and self._ready():
-            self._end_tick()
+            if self.plane.hands_over:  # to begin the next tick from within this one would never end
+                self.plane.wake()
+            else:
+                self._end_tick()
 
     def _ready(self) -> bool:
         return self._moved and not self._finished and not self._recorder_behind()
@@ -208,7 +214,7 @@ class PlantNode(SuiteNode):
         return newest.time_ns < self.time_ns and (newest.time_ns >= 0 or self.plane.has_publisher(topic))
 
     def _move(self) -> None:
-        """Let the newest torque and disturbance act over the tick, and encode what is published next."""
+        """Let the newest torque and disturbance act over the tick, and make ready what is published next."""
         if self.tick == self.scenario.last_tick:
             return
         begin = time.monotonic_ns()
@@ -221,7 +227,7 @@ class PlantNode(SuiteNode):
         except (ArithmeticError, ValueError) as error:
             self._raised = str(error) or type(error).__name__
         held = self.disturbance.time_ns != self.time_ns  # then its topic does not tell what has acted
-        self._encode(self.time_ns + self.scenario.dt_ns, reveal=held or self.scenario.hidden)
+        self._prepare(self.time_ns + self.scenario.dt_ns, reveal=held or self.scenario.hidden)
         self.times.add(time.monotonic_ns() - begin)
 
     def _stop_safely(self, overdue: bool) -> bool:
@@ -234,13 +240,13 @@ class PlantNode(SuiteNode):
         self.safe_stop_ticks += overdue
         return overdue
 
-    def _encode(self, time_ns: int, *, reveal: bool) -> None:
-        """Encode the measurement of a tick and, if wanted, the true motion and joint torque."""
-        self._measurement = self.codec.state.encode(time_ns, *self.stage.measure())
-        self._truth = b""
+    def _prepare(self, time_ns: int, *, reveal: bool) -> None:
+        """Make ready the measurement of a tick and, if wanted, the true motion and joint torque."""
+        self._measurement = self._measurements.ready(time_ns, *self.stage.measure())
+        self._truth = None
         if reveal:
             q, v = self.stage.motion
-            self._truth = self.codec.state.encode(time_ns, q, v, self.stage.state.joint_torque)
+            self._truth = self._truths.ready(time_ns, q, v, self.stage.state.joint_torque)
 
     def _finish(self, state: str, time_ns: int, reason: str) -> None:
         t = seconds(time_ns)
@@ -254,13 +260,8 @@ class PlantNode(SuiteNode):
 
     # Messages.
 
-    def _handler(self, topic: Topic) -> Callable[[bytes, int], None]:
-        def handle(data: bytes, published_ns: int) -> None:
-            if not self.active:
-                return
-            sample = self.decode(topic, data, ("effort",))
-            if sample is None:
-                return
+    def _taker(self, topic: Topic) -> Callable[[JointSample], None]:
+        def take(sample: JointSample) -> None:
             newest = self.torque if topic is TORQUES else self.disturbance
             time_ns, value = sample.time_ns, sample.effort
             if newest.time_ns < time_ns <= self.time_ns:
@@ -276,7 +277,7 @@ class PlantNode(SuiteNode):
             else:
                 self.refuse(topic, "stale", f"t = {seconds(time_ns):g} s after a later tick")
 
-        return handle
+        return take
 
     def _on_recorded(self, data: bytes, published_ns: int) -> None:
         stamp = deserialize_message(data, Time)

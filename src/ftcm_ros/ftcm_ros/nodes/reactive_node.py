@@ -14,7 +14,11 @@ from ftcm_ros.nodes.suite_node import POLL_NS, SuiteNode
 from ftcm_ros.timing.durations import Durations
 from ftcm_ros.transport.aligner import Aligner
 from ftcm_ros.transport.codec import JointSample
+from ftcm_ros.transport.composed import Composition
 from ftcm_ros.transport.topics import DEPTH, Topic
+
+Answer = list[tuple[Callable[[Any], None], Any]]
+"""What a node sends in a tick: how, and the message."""
 
 
 def execution_level(times: dict[str, float]) -> str:
@@ -26,9 +30,9 @@ def execution_level(times: dict[str, float]) -> str:
 class ReactiveNode(SuiteNode):
     """A stage that answers: when a tick's inputs are all here, it computes and publishes."""
 
-    def __init__(self, name: str) -> None:
+    def __init__(self, name: str, composition: Composition | None = None) -> None:
         """Declare the common parameters; a subclass then calls :meth:`listen`."""
-        super().__init__(name)
+        super().__init__(name, composition)
         self.times = Durations()
         self.gaps = 0
         """Ticks skipped between two that were answered."""
@@ -41,7 +45,7 @@ class ReactiveNode(SuiteNode):
         """How long the tick under way was prepared."""
         self._incomplete = False
         """Whether the last input of a tick has come but not all others: wait for those too."""
-        self._answer: list[tuple[Callable[[Any], None], bytes]] = []
+        self._answer: Answer = []
 
     def listen(self, needs: dict[Topic, tuple[str, ...]]) -> None:
         """Say which topics carry a value per tick.
@@ -53,23 +57,20 @@ class ReactiveNode(SuiteNode):
         self._first = next(iter(self._inputs))
         self.aligner = Aligner(tuple(self._inputs), pending_limit=DEPTH)
         for topic, arrays in needs.items():
-            self.plane.subscribe(topic, self._handler(topic, arrays))
+            self.subscribe(topic, arrays, self._taker(topic))
 
-    def _handler(self, topic: Topic, arrays: tuple[str, ...]) -> Callable[[bytes, int], None]:
+    def _taker(self, topic: Topic) -> Callable[[JointSample], None]:
         name = topic.name
+        if name != self._first:
+            return lambda sample: self.take(name, sample)
 
-        def handle(data: bytes, published_ns: int) -> None:
-            if not self.active:
-                return
-            sample = self.decode(topic, data, arrays)
-            if sample is None:
-                return
-            if name == self._first and not all(map(isfinite, chain(*sample[1:]))):
+        def take_first(sample: JointSample) -> None:
+            if all(map(isfinite, chain(*sample[1:]))):
+                self.take(name, sample)
+            else:
                 self.refuse(topic, "not_finite", f"{sample[1:]} is not finite")
-                return
-            self.take(name, sample)
 
-        return handle
+        return take_first
 
     def step(self) -> None:
         """Wait for the last input of a tick, and take the others with it."""
@@ -83,8 +84,8 @@ class ReactiveNode(SuiteNode):
             if time_ns == 0 < aligner.last:  # the plant begins a run
                 self.configure()
             elif time_ns == aligner.last:  # the plant asks again
-                for publish, data in self._answer:
-                    publish(data)
+                for send, message in self._answer:
+                    send(message)
                 return
         before = aligner.last
         values = aligner.put(name, time_ns, sample)
@@ -99,8 +100,8 @@ class ReactiveNode(SuiteNode):
         self.elapsed = 1 if before is None else (time_ns - before) // self.scenario.dt_ns
         self.gaps += self.elapsed - 1
         self._answer = self.answer(time_ns, values)
-        for publish, data in self._answer:
-            publish(data)
+        for send, message in self._answer:
+            send(message)
         self.ticks += 1
         end = time.monotonic_ns()
         self.age_ns = begin - self._arrived if len(aligner.required) > 1 else 0
@@ -111,10 +112,8 @@ class ReactiveNode(SuiteNode):
         """Do what can be done when only the first input of a tick is here."""
 
     @abstractmethod
-    def answer(
-        self, time_ns: int, values: dict[str, JointSample]
-    ) -> list[tuple[Callable[[Any], None], bytes]]:
-        """Compute one tick: return what to publish."""
+    def answer(self, time_ns: int, values: dict[str, JointSample]) -> Answer:
+        """Compute one tick: return what to send."""
 
     def configure(self) -> None:
         """Begin afresh with the next tick."""

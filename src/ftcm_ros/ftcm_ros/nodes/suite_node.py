@@ -5,6 +5,7 @@ from __future__ import annotations
 
 import gc
 import os
+import secrets
 import threading
 import time
 from abc import abstractmethod
@@ -24,12 +25,15 @@ from ftcm_ros.parameters.node_parameters import setting
 from ftcm_ros.timing import scheduling
 from ftcm_ros.timing.durations import Durations
 from ftcm_ros.transport.codec import CodecError, JointSample, JointStateCodec
+from ftcm_ros.transport.composed import ComposedPlane, Composition
 from ftcm_ros.transport.plane import make_plane
 from ftcm_ros.transport.topics import DIAGNOSTICS, Topic
 
 POLL_NS = NANOSECONDS // 50
 """How often a waiting node looks at other things, ns."""
 REPORT_SECONDS = 1.0
+PROCESS = f"{os.getpid()}-{secrets.token_hex(4)}"
+"""Tells this process from every other, also of another container or machine."""
 HEARTBEAT = os.environ.get("FTCM_HEARTBEAT")
 """File to touch with every report, for a health check from outside; none by default."""
 MATCH_TIMEOUT = 20.0
@@ -42,14 +46,19 @@ class SuiteNode(LifecycleNode):
     gathers: Topic | None = None
     """The topic after which messages are collected, many at a time, instead of answered each at once."""
 
-    def __init__(self, name: str) -> None:
+    def __init__(self, name: str, composition: Composition | None = None) -> None:
         """Declare the common parameters and read the scenario.
+
+        Args:
+            name: which node of the suite this is.
+            composition: what it shares with the other nodes of this process, if there are any.
 
         Raises:
             FtcmError: a parameter, a plug-in or the scenario is not valid.
         """
         super().__init__(name)
-        self._kind = name
+        self.name_in_suite = name
+        self.composition = composition
         load_plugins(name.strip() for name in self.setting("plugins").split(",") if name.strip())
         self.scenario: Scenario = load(self.setting("scenario"))
         self.autostart: bool = self.setting("autostart")
@@ -60,7 +69,10 @@ class SuiteNode(LifecycleNode):
         for line in self._not_permitted:
             self.get_logger().warning(line)
         self.codec = JointStateCodec(self.scenario.robot.joint_names)
-        self.plane = make_plane(self, self.setting("data_path"), self.gathers)
+        path = self.setting("data_path")
+        self.plane = (
+            ComposedPlane(self, name, composition) if composition else make_plane(self, path, self.gathers)
+        )
         self.active = False
         self.stopping = False
         self._failure = ""
@@ -79,7 +91,7 @@ class SuiteNode(LifecycleNode):
 
     def setting(self, name: str) -> Any:
         """Declare one of this node's read-only parameters and return its value."""
-        declared = setting(self._kind, name)
+        declared = setting(self.name_in_suite, name)
         text = declared.description + (f"; one of {', '.join(declared.choices)}" if declared.choices else "")
         descriptor = ParameterDescriptor(description=text, read_only=True)
         return declared.check(self.declare_parameter(name, declared.default, descriptor).value)
@@ -112,11 +124,15 @@ class SuiteNode(LifecycleNode):
 
     def _activate(self) -> None:
         self.ticks = 0
-        self.activate()
         gc.collect()
         gc.freeze()
         self._time_marks = (time.process_time(), scheduling.waited_seconds())
-        self.active = True
+        self.active = True  # now: the first tick may be answered before it has been begun
+        try:
+            self.activate()
+        except Exception:
+            self.active = False
+            raise
 
     def _deactivate(self) -> None:
         if self.active:
@@ -180,31 +196,50 @@ class SuiteNode(LifecycleNode):
                 outcome[1] = error
             done.set()
 
-    def spin(self) -> None:
-        """Run the main loop until asked to stop."""
+    def serve(self) -> None:
+        """Begin to answer services, and to report."""
         self.plane.start()
         self.plane.serve_every(REPORT_SECONDS, self.report)
-        with self.plane.turn:
-            if self.autostart:
-                self.trigger_configure()
-                self.trigger_activate()
-                if not self.active:
-                    raise FtcmError(self._failure)
-            try:
-                while not self.stopping:
-                    self.do_main_thread_work()
-                    self.step()
-                self.do_main_thread_work()
-            except Exception:
-                self.abandon()
-                raise
-            self._deactivate()
+
+    def begin(self) -> None:
+        """Become active; main thread.
+
+        Raises:
+            FtcmError: that is not possible.
+        """
+        self.trigger_activate()
+        if not self.active:
+            raise FtcmError(self._failure)
+
+    def end(self) -> None:
+        """End the run, if there is one; main thread."""
+        self.do_main_thread_work()
+        self._deactivate()
 
     def step(self) -> None:
         """One round of the main loop: by default, wait for messages."""
         self.plane.poll(POLL_NS)
 
     # Messages.
+
+    def subscribe(self, topic: Topic, arrays: tuple[str, ...], take: Callable[[JointSample], None]) -> None:
+        """Have messages of a data topic taken while a run is on, if they can be used.
+
+        Args:
+            topic: which.
+            arrays: which arrays must be filled.
+            take: takes what a message says.
+        """
+
+        def handle(data: bytes, published_ns: int) -> None:
+            if self.active and (sample := self.decode(topic, data, arrays)) is not None:
+                take(sample)
+
+        def hand(sample: JointSample) -> None:
+            if self.active:
+                take(sample)
+
+        self.plane.subscribe(topic, handle, hand)
 
     def decode(self, topic: Topic, data: bytes, arrays: tuple[str, ...] = ()) -> JointSample | None:
         """Decode a JointState; None and a count if it is refused.
@@ -267,9 +302,11 @@ class SuiteNode(LifecycleNode):
             "rate_hz": round(rate, 1),
             "refused": refused,
             **{f"refused_{kind}": count for kind, count in kinds.items()},
+            "process": PROCESS,
             "cpu_seconds": round(time.process_time() - self._time_marks[0], 3),
-            "waited_seconds": round(scheduling.waited_seconds() - self._time_marks[1], 3),
         }
+        if not self.active:  # it takes too long to be looked at while the ticks go on
+            common["waited_seconds"] = round(scheduling.waited_seconds() - self._time_marks[1], 3)
         if self._not_permitted:
             common["not_permitted"] = "; ".join(self._not_permitted)
         status = DiagnosticStatus(

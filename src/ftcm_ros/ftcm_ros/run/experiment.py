@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """The command ``experiment``: runs a scenario over the ROS graph, one run per controller, and reports.
 
-A run starts the five nodes as processes of their own, follows them and stops them. A run that fails ends
-with its reason, and the next controller's begins. Then the bags are read back and reported.
+A run starts the nodes, as processes of their own or composed in one, follows them and stops them. A run that
+fails ends with its reason, and the next controller's begins. Then the bags are read back and reported.
 
 Exit status: 0 done (a run that diverges is a result), 1 a run failed, 2 a mistake in what was asked,
 130 interrupted.
@@ -22,7 +22,7 @@ from ftcm_core.registry import load_plugins
 from ftcm_core.scenario import load
 from ftcm_ros.parameters.node_parameters import setting
 from ftcm_ros.run.external_nodes import AmbientDomain
-from ftcm_ros.run.graph_run import Interrupted, Run, use_domain
+from ftcm_ros.run.graph_run import Interrupted, Run, composed, use_domain
 from ftcm_ros.run.progress import say
 from ftcm_ros.run.run_report import report
 from ftcm_ros.transport.domain import Domain
@@ -50,6 +50,12 @@ def build_parser() -> argparse.ArgumentParser:
     )
     parser.add_argument(
         "--mode", choices=("lockstep", "real_time"), default="lockstep", help="default: lockstep"
+    )
+    parser.add_argument(
+        "--composed",
+        action=argparse.BooleanOptionalAction,
+        help="all nodes but the recorder in one process, or each in its own; default: composed in real time, "
+        "processes in lockstep",
     )
     parser.add_argument(
         "--set", action="append", default=[], metavar="PATH=VALUE", help="e.g. observer.k1=10000"
@@ -107,6 +113,8 @@ def run_experiment(options: argparse.Namespace) -> int:
     labels = [s.controller.type_name for s in scenarios]
     if len(set(labels)) < len(labels):
         raise FtcmError(f"controllers {labels}: each may be named once")
+    if options.external_nodes and options.composed:
+        raise FtcmError("--composed: with --external-nodes, whoever starts the nodes composes them")
     if options.external_nodes and len(labels) > 1:
         raise FtcmError(
             f"--external-nodes: {len(labels)} controllers ({', '.join(labels)}); expected one, "
@@ -126,7 +134,13 @@ def run_experiment(options: argparse.Namespace) -> int:
         raise FtcmError(f"run {str(folder)!r} cannot be made: {reason}") from None
     domain = AmbientDomain(options.domain_id) if options.external_nodes else Domain(options.domain_id)
     network = use_domain(domain, folder)
-    say(f"run {folder}: {', '.join(labels)} in {options.mode}, ROS_DOMAIN_ID={domain.number} {network}")
+    nodes = "composed nodes" if composed(options) else "a process per node"
+    if options.external_nodes:
+        nodes = "nodes started elsewhere"
+    say(
+        f"run {folder}: {', '.join(labels)} in {options.mode}, {nodes}, "
+        f"ROS_DOMAIN_ID={domain.number} {network}"
+    )
     failures, runs = [], []
     try:
         for label, scenario in zip(labels, scenarios):

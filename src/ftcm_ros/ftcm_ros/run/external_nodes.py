@@ -4,7 +4,7 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -37,9 +37,10 @@ class ExternalNodes:
         """Lay the parameter files out in a folder that the nodes' starter reads, ``<node>.yaml``."""
         self.folder = folder
 
-    def start(self, node: str, parameters: Mapping[str, Any]) -> None:
-        """Lay out a node's parameters, for whoever starts it."""
-        write_parameters(self.folder / f"{node}.yaml", node, parameters)
+    def start(self, parameters: Mapping[str, Mapping[str, Any]], together: Sequence[str] = ()) -> None:
+        """Lay out the nodes' parameters, for whoever starts them, together or not."""
+        for node, values in parameters.items():
+            write_parameters(self.folder / f"{node}.yaml", node, values)
 
     def check(self) -> None:
         """Nothing is known of a process elsewhere; a node that falls silent is noticed by its silence."""
@@ -62,6 +63,10 @@ class ExternalNodes:
 
     def resume(self) -> None:
         """Nothing that is stopped elsewhere can be let go on from here."""
+
+    def ending(self, process: str, code: int, when: str = "") -> str:
+        """Say how a process has ended: none is known of."""
+        return ""
 
     def last_words(self, node: str) -> str:
         """Say where a node's output is."""

@@ -20,10 +20,11 @@ from ftcm_core.errors import FtcmError
 from ftcm_core.recording.trace import ENDED_EARLY
 from ftcm_core.registry import plugins
 from ftcm_core.scenario import Scenario
+from ftcm_ros.analysis.timing import by_process
 from ftcm_ros.parameters.node_parameters import nodes_of
 from ftcm_ros.run.external_nodes import AmbientDomain, ExternalNodes
 from ftcm_ros.run.lifecycle import Managed, drive
-from ftcm_ros.run.local_nodes import LocalNodes, describe_exit
+from ftcm_ros.run.local_nodes import LocalNodes
 from ftcm_ros.run.progress import Progress, say
 from ftcm_ros.run.watchdog import CHAIN, Watchdog
 from ftcm_ros.transport.domain import Domain
@@ -39,6 +40,13 @@ MATCHING_ORDER = ("observer", "controller", "injector", "plant", "detector", "re
 """Order of configuration: that of the tick, so that each message reaches first who acts on it next."""
 RECORDER_WINDOW = 1000
 """Ticks the plant may run ahead of the recorder in lockstep."""
+
+
+def composed(options: argparse.Namespace) -> bool:
+    """Whether the nodes share a process: as asked, else in real time, where it misses fewer deadlines."""
+    if options.composed is None:
+        return options.mode == "real_time" and not options.external_nodes
+    return bool(options.composed)
 
 
 class Interrupted(Exception):
@@ -105,8 +113,9 @@ class Run:
             node.destroy_node()
             rclpy.try_shutdown()
             self.timing["nodes"] = self.health
+            self.timing["processes"] = [*by_process(self.health, "cpu_seconds")]
         for name, code in codes.items():
-            ending = f"node {name!r} {describe_exit(code)} after the run; {self.processes.last_words(name)}"
+            ending = self.processes.ending(name, code, " after the run")
             if code > 0:
                 raise FtcmError(ending)
             if code < 0:  # what it had to do is done
@@ -133,8 +142,8 @@ class Run:
             "recorder": {"bag": str(self.bag.resolve()), "storage": self.options.storage},
         }
         self.bag.parent.mkdir(parents=True, exist_ok=True)
-        for name in self.nodes:
-            self.processes.start(name, {**common, **extra.get(name, {})})
+        together = tuple(n for n in self.nodes if n != "recorder") if composed(self.options) else ()
+        self.processes.start({n: {**common, **extra.get(n, {})} for n in self.nodes}, together)
         for name in MATCHING_ORDER:
             if name in self.nodes:
                 self.transition("configure", (name,))
@@ -181,7 +190,8 @@ class Run:
             FtcmError: a node has ended or stopped working.
             Interrupted: the user stopped it.
         """
-        self.watchdog = Watchdog(self.options.mode == "lockstep", self.options.patience, nodes=self.nodes)
+        waits = self.options.mode == "lockstep" or composed(self.options)  # for what is done on its thread
+        self.watchdog = Watchdog(waits, self.options.patience, nodes=self.nodes)
         while True:
             self._spin()
             plant = self.health.get("plant", {})

@@ -23,8 +23,12 @@ STOP_SECONDS = 5.0
 """How long the nodes may take to end after each signal."""
 
 
+COMPOSED = "composed"
+"""Name of the process that has several nodes."""
+
+
 class LocalNodes:
-    """One process per node, each with its own log file."""
+    """The processes of the nodes, each with its own log file."""
 
     start_seconds = 60.0
     """How long a node may take to come up."""
@@ -40,23 +44,42 @@ class LocalNodes:
             "PYTHONUNBUFFERED": "1",
         }
         self.processes: dict[str, subprocess.Popen[bytes]] = {}
+        self._nodes: dict[str, tuple[str, ...]] = {}
+        """Nodes of each process."""
 
-    def start(self, node: str, parameters: Mapping[str, Any]) -> None:
-        """Start a node with parameters.
+    def start(self, parameters: Mapping[str, Mapping[str, Any]], together: Sequence[str] = ()) -> None:
+        """Start nodes.
+
+        Args:
+            parameters: of each node.
+            together: those that share a process.
 
         Raises:
-            OSError: its files cannot be written, or no process can be made.
+            OSError: their files cannot be written, or no process can be made.
         """
         self.folder.mkdir(parents=True, exist_ok=True)
-        file = self.folder / f"{node}.yaml"
-        write_parameters(file, node, parameters)
-        command = [sys.executable, "-m", f"ftcm_ros.nodes.{node}", "--ros-args", "--params-file", str(file)]
-        command += enclave(node)
-        with (self.folder / f"{node}.log").open("wb") as log:
-            self.processes[node] = subprocess.Popen(
+        for node, values in parameters.items():
+            write_parameters(self.folder / f"{node}.yaml", node, values)
+        if together:
+            self._start(COMPOSED, tuple(together), ["--nodes", *together])
+        for node in parameters:
+            if node not in together:
+                self._start(node, (node,), [])
+
+    def _start(self, process: str, nodes: tuple[str, ...], arguments: list[str]) -> None:
+        command = [sys.executable, "-m", f"ftcm_ros.nodes.{process}", *arguments, "--ros-args"]
+        for node in nodes:
+            command += ["--params-file", str(self.folder / f"{node}.yaml")]
+        command += enclave(process)
+        self._nodes[process] = nodes
+        with (self.folder / f"{process}.log").open("wb") as log:
+            self.processes[process] = subprocess.Popen(
                 command, env=self.environment, stdin=subprocess.DEVNULL, stdout=log, stderr=subprocess.STDOUT,
                 start_new_session=True, pass_fds=self.files,
             )  # fmt: skip
+
+    def _process_of(self, node: str) -> str:
+        return next((process for process, nodes in self._nodes.items() if node in nodes), node)
 
     def check(self) -> None:
         """Raise if a node has ended.
@@ -64,28 +87,40 @@ class LocalNodes:
         Raises:
             FtcmError: names the node, how it ended, and the last lines it wrote.
         """
-        for node, process in self.processes.items():
+        for name, process in self.processes.items():
             code = process.poll()
             if code is not None:
-                raise FtcmError(f"node {node!r} {describe_exit(code)}; {self.last_words(node)}")
+                raise FtcmError(self.ending(name, code))
+
+    def ending(self, process: str, code: int, when: str = "") -> str:
+        """Say which node has ended (of several the one that failed), how, and its last lines."""
+        _, failed = self._last_lines(process)
+        return f"node {failed or process!r} {describe_exit(code)}{when}; {self.last_words(process)}"
 
     def pids(self) -> dict[str, int]:
-        """Process numbers of the nodes that run."""
-        return {node: process.pid for node, process in self.processes.items() if process.poll() is None}
+        """Numbers of the processes that run."""
+        return {name: process.pid for name, process in self.processes.items() if process.poll() is None}
 
     def running(self, node: str) -> bool:
         """Whether a node has been started and has not ended."""
-        process = self.processes.get(node)
+        process = self.processes.get(self._process_of(node))
         return process is not None and process.poll() is None
 
     def last_words(self, node: str) -> str:
-        """Return the end of a node's output, in one line."""
-        log = self.folder / f"{node}.log"
-        lines = [line.strip() for line in log.read_text(errors="replace").splitlines() if line.strip()]
+        """Return the end of the output of a node, or of a process, in one line."""
+        process = self._process_of(node)
+        lines, failed = self._last_lines(process)
+        log = self.folder / f"{process}.log"
         if not lines:
             return f"it wrote nothing (log: {log})"
-        said_why = lines[-1].startswith(f"{node}: ")
-        return f"its last words: {' | '.join(lines[-1:] if said_why else lines[-3:])} (log: {log})"
+        return f"its last words: {' | '.join(lines[-1:] if failed else lines)} (log: {log})"
+
+    def _last_lines(self, process: str) -> tuple[list[str], str]:
+        """Return the last lines of a process, and which of its nodes they say has failed."""
+        text = (self.folder / f"{process}.log").read_text(errors="replace")
+        lines = [line.strip() for line in text.splitlines() if line.strip()][-3:]
+        said = lines[-1].partition(": ")[0] if lines else ""
+        return lines, said if said in (process, *self._nodes[process]) else ""
 
     def is_stopped(self, node: str) -> bool:
         """Whether a node's process is stopped, as by SIGSTOP or a debugger."""
@@ -106,10 +141,10 @@ class LocalNodes:
 
     def pid(self, node: str) -> int:
         """Process number of a node."""
-        return self.processes[node].pid
+        return self.processes[self._process_of(node)].pid
 
     def stop(self) -> dict[str, int]:
-        """Stop all nodes: SIGINT, then SIGTERM, then SIGKILL; return their exit codes."""
+        """Stop all nodes: SIGINT, then SIGTERM, then SIGKILL; return the exit code of each process."""
         for number in (signal.SIGINT, signal.SIGTERM, signal.SIGKILL):
             running = [p for p in self.processes.values() if p.poll() is None]
             for process in running:
@@ -121,7 +156,7 @@ class LocalNodes:
                     process.wait(max(0.01, end - time.monotonic()))
                 except subprocess.TimeoutExpired:
                     continue
-        return {node: process.returncode for node, process in self.processes.items()}
+        return {name: process.returncode for name, process in self.processes.items()}
 
 
 def describe_exit(code: int) -> str:

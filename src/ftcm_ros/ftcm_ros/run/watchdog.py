@@ -35,7 +35,7 @@ class Watchdog:
         """Begin now.
 
         Args:
-            lockstep: whether the plant waits for the others.
+            lockstep: whether the plant waits for the others, or they work on its thread.
             patience: how long a node may be silent, or make no tick, s.
             clock: steady time, s.
             nodes: the nodes of the run.

@@ -48,6 +48,7 @@ class Layout:
     def __init__(self, joint_names: tuple[str, ...], filled: tuple[bool, bool, bool]) -> None:
         """Lay the message out once: constants, padding and doubles in their order."""
         self.joints = joints = len(joint_names)
+        self.filled = filled
         offset = 8  # after the stamp, counted from the end of the 4-byte CDR header
         parts = ["<4siI"]
         self.constants: list[tuple[int, bytes]] = []
@@ -98,6 +99,12 @@ class Layout:
         for where, vector in zip(self._arrays, vectors):
             fields[where] = vector
         return self.struct.pack(*fields)
+
+    def sample(self, time_ns: int, *vectors: Vector) -> JointSample:
+        """Return what a message of this stamp (ns) and these filled arrays, in order, decodes to."""
+        arrays = iter(vectors)
+        a, b, c = [next(arrays) if has else () for has in self.filled]
+        return JointSample(time_ns, a, b, c)
 
     def decode(self, data: bytes) -> JointSample | None:
         """Decode a message of this layout; return None if it is of another one of the same length.

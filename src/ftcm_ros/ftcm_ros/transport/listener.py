@@ -115,12 +115,12 @@ class ListenerPlane(WaitSetPlane):
         def receive(_: Any, count: int) -> None:
             self._keep_thread()
             with self.turn:
-                if self._failure is not None:  # the main thread is about to end the node
+                if self.failure() is not None:  # the main thread is about to end the node
                     return
                 try:
                     entry.handle_all()
                 except Exception as error:
-                    self._failure = error
+                    self._fail(error)
                     self.turn.notify()
 
         return receive

@@ -7,12 +7,14 @@ This is the interface that the nodes use. A node does not know how its messages 
 * ``listener`` (:mod:`~ftcm_ros.transport.listener`): the thread that receives a message handles it too.
 * ``waitset`` (:mod:`~ftcm_ros.transport.wait_set`): the main thread waits for data messages.
 * ``executor`` (:mod:`~ftcm_ros.transport.executor`): everything goes through one ordinary executor.
+* composed (:mod:`~ftcm_ros.transport.composed`): for the nodes of one process, which hand their messages over
+  to each other; it is chosen by starting them so, and takes the messages of other processes as ``listener``.
 
 The first two exist because an executor costs about 130 µs a message and the waking of a thread about
 30 µs. With them, services, parameters, lifecycle and diagnostics are on an ordinary executor in a
-background thread. With each of the three, data messages are serialized bytes, and a handler runs only while
-the main thread is in :meth:`DataPlane.poll` or :meth:`DataPlane.collect`: never beside anything else that
-the main thread does.
+background thread. With each of them, data messages are published as serialized bytes, and a handler runs
+only while the main thread is in :meth:`DataPlane.poll` or :meth:`DataPlane.collect`, or sends: never beside
+anything else that the main thread does.
 
 A new transport is a subclass of :class:`DataPlane` in a file of its own, with the four abstract methods;
 it may replace others. It is named in :func:`make_plane`, and in the choices of the parameter.
@@ -39,11 +41,14 @@ from rclpy.subscription import Subscription
 from rclpy.task import Task
 
 from ftcm_core.scenario import Scenario
+from ftcm_ros.transport.codec import JointSample, Layout
 from ftcm_ros.transport.publisher_identity import PublisherIdentity
 from ftcm_ros.transport.topics import Topic, subscribers
 
 Handler = Callable[[bytes, int], None]
 """Takes one serialized message and the time it was published (system clock, ns)."""
+Take = Callable[[JointSample], None]
+"""Takes what a message says."""
 
 SWITCH_INTERVAL = 1e-4
 """How long a background thread may keep the interpreter from the tick, s."""
@@ -51,6 +56,15 @@ ACKNOWLEDGE_SECONDS = 0.5
 """How long a node that ends waits for readers that have not received all of its messages."""
 STOP_SECONDS = 8.0
 """How long the services thread may take to end. What it uses is destroyed then."""
+
+
+class Sender(NamedTuple):
+    """How a node sends its messages of one data topic."""
+
+    ready: Callable[..., Any]
+    """Makes a message of a stamp (ns) and the filled arrays, in order."""
+    send: Callable[[Any], None]
+    """Sends such a message, to whoever wants it; again, if called again."""
 
 
 class Taken(NamedTuple):
@@ -107,7 +121,7 @@ def qos(topic: Topic) -> QoSProfile:
 
 
 def make_plane(node: Node, path: str, gather: Topic | None = None) -> DataPlane:
-    """Make the data plane of a node.
+    """Make the data plane of a node that has a process to itself.
 
     Args:
         node: whose topics these are.
@@ -133,12 +147,15 @@ class DataPlane(ABC):
     A transport says how messages are taken: the abstract methods. All transports share the rest.
     """
 
+    hands_over = False
+    """Whether a message is handled where it is sent, before :attr:`Sender.send` returns."""
+
     def __init__(self, node: Node, gather: Topic | None = None) -> None:
         """Begin without any topic; the arguments are those of :func:`make_plane`."""
         self._node = node
         self._gather = gather
         self._group = self._callback_group()
-        self._wanted: list[tuple[Topic, Handler]] = []
+        self._wanted: list[tuple[Topic, Handler, Take | None]] = []
         self._subscriptions: list[Subscription] = []
         self._taken: list[Taken] = []
         """In order of declaration."""
@@ -197,12 +214,17 @@ class DataPlane(ABC):
 
     # Topics.
 
-    def subscribe(self, topic: Topic, handler: Handler) -> None:
+    def subscribe(self, topic: Topic, handler: Handler, take: Take | None = None) -> None:
         """Hand every message of a topic to a handler, serialized, once the plane is open.
 
         Of a topic that has one publisher in the suite, messages of others are dropped and counted.
+
+        Args:
+            topic: which.
+            handler: takes a serialized message.
+            take: takes what a message says: for a transport that does not serialize it.
         """
-        self._wanted.append((topic, handler))
+        self._wanted.append((topic, handler, take))
 
     def open(self) -> None:
         """Make the subscriptions, if that has not been done.
@@ -211,7 +233,9 @@ class DataPlane(ABC):
         whoever configures the nodes in the order of the tick gets the shortest chain.
         """
         wanted, self._wanted = self._wanted, []
-        for topic, handler in wanted:
+        for topic, handler, take in wanted:
+            if take is not None and self._locally(topic, take):
+                continue
             cls = message_class(topic.type)
             callback = self._callback(topic, handler)
             made = self._node.create_subscription(
@@ -221,6 +245,10 @@ class DataPlane(ABC):
             self._taken.append(Taken(topic, made.handle, cls, callback))
         if wanted:
             self._opened()
+
+    def _locally(self, topic: Topic, take: Take) -> bool:
+        """Whether a topic's messages come without the middleware: then they are handed to ``take``."""
+        return False
 
     def _callback(self, topic: Topic, handler: Handler) -> Callable[[bytes, Any], None]:
         if len(topic.publishers) > 1:
@@ -246,6 +274,10 @@ class DataPlane(ABC):
         made = self._node.create_publisher(message_class(topic.type), topic.name, qos(topic))
         self._publishers.append((topic, made))
         return made.publish
+
+    def sender(self, topic: Topic, layout: Layout) -> Sender:
+        """Return how messages of a data topic are sent, all of one layout."""
+        return Sender(layout.encode, self.publisher(topic))
 
     # The node's other callbacks.
 
@@ -280,7 +312,11 @@ class DataPlane(ABC):
         except (ExternalShutdownException, ShutdownException):
             return
         except Exception as error:
-            self._failure = error
+            self._fail(error)
+
+    def _fail(self, error: Exception) -> None:
+        """Have an error raised on the main thread that another thread has met."""
+        self._failure = error
 
     def _spin(self, seconds: float | None) -> None:
         """Serve one callback. A lifecycle transition that is not possible now does not end the node."""
@@ -289,9 +325,13 @@ class DataPlane(ABC):
         except _rclpy.RCLError as error:
             self._node.get_logger().warning(f"request not possible now: {error}")
 
+    def failure(self) -> Exception | None:
+        """What a handler or the services thread has raised."""
+        return self._failure
+
     def _raise_failure(self) -> None:
-        if self._failure is not None:
-            raise self._failure
+        if (failure := self.failure()) is not None:
+            raise failure
 
     def stop(self) -> None:
         """Stop serving. The data plane is not used after this.
@@ -314,7 +354,7 @@ class DataPlane(ABC):
     def unmatched(self, scenario: Scenario) -> str:
         """Say which topic still waits for the suite's other nodes; empty when all are matched."""
         for topic, made in self._publishers:
-            wanted = subscribers(topic, scenario)
+            wanted = self._elsewhere(subscribers(topic, scenario))
             if (count := made.get_subscription_count()) < len(wanted):
                 return f"{topic.name} has {count} of {len(wanted)} subscribers ({', '.join(wanted)})"
         for subscription in self._subscriptions:
@@ -322,9 +362,17 @@ class DataPlane(ABC):
                 return f"{subscription.topic_name} has no publisher"
         return self.rivals()
 
+    def _elsewhere(self, names: tuple[str, ...]) -> tuple[str, ...]:
+        """Which of these nodes receive messages through the middleware."""
+        return names
+
+    def _single(self) -> list[str]:
+        """Names of the subscribed topics that have one publisher in the suite."""
+        return list(self.identities)
+
     def rivals(self) -> str:
         """Say which subscribed topic has more than one publisher, and whose; empty if none has."""
-        for name in list(self.identities):
+        for name in self._single():
             if self._node.count_publishers(name) < 2:
                 continue
             found = self._publishing(name)
