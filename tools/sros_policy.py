@@ -10,6 +10,7 @@ import sys
 from xml.etree import ElementTree
 
 from ftcm_ros.parameters.node_parameters import ALL_NODES
+from ftcm_ros.run.local_nodes import COMPOSED
 from ftcm_ros.transport.topics import DIAGNOSTICS, TOPICS
 from topics_page import write_or_check
 
@@ -44,7 +45,7 @@ def rules(name: str) -> dict[tuple[str, str], list[str]]:
     """Return what a process of the suite may do.
 
     Args:
-        name: one of the five nodes, or ``experiment``.
+        name: one of the nodes, or ``experiment``.
 
     Returns:
         Absolute names by ``("topics", "publish")``, ``("topics", "subscribe")``, ``("services", "reply")``
@@ -67,6 +68,12 @@ def rules(name: str) -> dict[tuple[str, str], list[str]]:
     }
 
 
+def processes() -> dict[str, tuple[str, ...]]:
+    """Return the nodes of each process that there may be."""
+    alone = {name: (name,) for name in (*ALL_NODES, CONDUCTOR)}
+    return {**alone, COMPOSED: tuple(name for name in ALL_NODES if name != "recorder")}
+
+
 def _absolute(topic: str) -> str:
     return topic if topic.startswith("/") else f"/{topic}"
 
@@ -76,15 +83,16 @@ def policy() -> str:
     root = ElementTree.Element("policy", version="0.2.0")
     root.append(ElementTree.Comment(_COMMENT))
     enclaves = ElementTree.SubElement(root, "enclaves")
-    for name in (*ALL_NODES, CONDUCTOR):
-        enclave = ElementTree.SubElement(enclaves, "enclave", path=f"/ftcm/{name}")
+    for process, nodes in processes().items():
+        enclave = ElementTree.SubElement(enclaves, "enclave", path=f"/ftcm/{process}")
         profiles = ElementTree.SubElement(enclave, "profiles")
-        profile = ElementTree.SubElement(profiles, "profile", ns="/", node=name)
-        for (kind, action), names in rules(name).items():
-            if names:
-                expressions = ElementTree.SubElement(profile, kind, {action: "ALLOW"})
-                for expression in names:
-                    ElementTree.SubElement(expressions, kind.removesuffix("s")).text = expression
+        for node in nodes:
+            profile = ElementTree.SubElement(profiles, "profile", ns="/", node=node)
+            for (kind, action), names in rules(node).items():
+                if names:
+                    expressions = ElementTree.SubElement(profile, kind, {action: "ALLOW"})
+                    for expression in names:
+                        ElementTree.SubElement(expressions, kind.removesuffix("s")).text = expression
     ElementTree.indent(root)
     return '<?xml version="1.0" encoding="UTF-8"?>\n' + ElementTree.tostring(root, encoding="unicode") + "\n"
 

@@ -179,8 +179,11 @@ def test_the_image_is_not_root() -> None:
     assert docker("run", "--rm", IMAGE, "id", "-u") != "0"
 
 
-def test_lockstep_across_containers_equals_the_in_process_run(up: Up) -> None:
-    project = up(SHORT)
+@pytest.mark.parametrize("composed", ["", "1"])
+def test_lockstep_across_containers_equals_the_in_process_run(up: Up, composed: str) -> None:
+    project = up(SHORT, FTCM_COMPOSED=composed)
+    assert bool(project.container("composed")) == bool(composed)
+    assert bool(project.container("plant")) != bool(composed)
     assert project.wait() == 0, project.log()
     equals_the_in_process_run(project.bag(), 1001)
     owner = project.runs.stat().st_uid
@@ -199,8 +202,9 @@ def test_a_detector_has_a_container_of_its_own_where_the_scenario_has_one(up: Up
     assert {"residual", "alarm"} <= set(bag["columns"])
 
 
-def test_real_time_across_containers(up: Up) -> None:
-    project = up("paper --controllers ftcm --mode real_time --set duration=3")
+@pytest.mark.parametrize("composed", ["", "1"])
+def test_real_time_across_containers(up: Up, composed: str) -> None:
+    project = up("paper --controllers ftcm --mode real_time --set duration=3", FTCM_COMPOSED=composed)
     assert project.wait() == 0, project.log()
     bag = project.bag()
     assert bag["status"] == "completed"

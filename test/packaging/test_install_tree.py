@@ -11,7 +11,9 @@ from pathlib import Path
 
 import pytest
 
-EXECUTABLES = {"plant", "injector", "observer", "controller", "detector", "recorder", "experiment", "analyse"}
+from ftcm_ros.parameters.node_parameters import ALL_NODES
+
+EXECUTABLES = {*ALL_NODES, "composed", "experiment", "analyse"}
 
 
 def prefix_of(package):

@@ -70,7 +70,7 @@ def test_the_policy_allows_what_the_nodes_have_and_no_more(
     assert found == expected
 
 
-@pytest.mark.parametrize("module", ["nodes.plant", "experiment"])
+@pytest.mark.parametrize("module", ["nodes.plant", "nodes.composed", "experiment"])
 @pytest.mark.parametrize("keystore", ["missing", "empty"])
 def test_security_that_cannot_be_had_is_one_line(
     start: Start, domain: int, monkeypatch: pytest.MonkeyPatch, tmp_path: Path, module: str, keystore: str
