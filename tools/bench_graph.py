@@ -17,6 +17,7 @@ import statistics
 import subprocess
 import sys
 import tempfile
+import threading
 import time
 from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
@@ -30,8 +31,8 @@ import bench_core as core
 from ftcm_core.errors import FtcmError
 from ftcm_core.scenario import load
 from ftcm_core.simulation import simulate
+from ftcm_ros.analysis.timing import by_process
 from ftcm_ros.bags.reader import read_bag
-from ftcm_ros.parameters.node_parameters import NODES
 from ftcm_ros.timing import scheduling
 from ftcm_ros.timing.pacing import CAUSES, RealTime
 from ftcm_ros.transport.codec import JointStateCodec
@@ -160,6 +161,22 @@ def bare_lockstep(ticks: int) -> tuple[float, float]:
         return ticks / (time.monotonic() - begin), statistics.median(rounds) / 1000.0
 
 
+def bare_loop(ticks: int) -> float:
+    """Share of ticks at 1 kHz that a loop misses which sleeps as the plant does, and does nothing, %."""
+    scheduling.apply(0, False, "")
+    turn = threading.Condition()
+    pacer = RealTime(10**6)
+
+    def sleep(ns: int) -> None:
+        turn.wait(ns / 1e9)
+
+    with turn:
+        pacer.begin()
+        for _ in range(ticks):
+            pacer.wait(lambda: True, sleep)
+    return 100.0 * pacer.misses.total / ticks
+
+
 def bare_real_time(ticks: int) -> float:
     """Share of ticks at 1 kHz that the bare chain misses, %: rounds that end late, and ticks skipped."""
     scheduling.apply(0, False, "")
@@ -221,11 +238,9 @@ def say(text: str) -> None:
 def measure(repetitions: int, seconds: float) -> list[Row]:
     """Measure all rows of the graph."""
     lost = [holes(3.0) for _ in range(repetitions)]
-    bare = [bare_real_time(10_000) for _ in range(repetitions)]
     rows = [
         ("the machine alone: holes over 0.1 ms in a busy loop, per s", spread([n for n, _ in lost]), ""),
         ("the largest of them, ms", spread([largest for _, largest in lost], 1), ""),
-        ("bare chain of four processes at 1 kHz, no work, no recorder: missed, %", spread(bare, 2), ""),
     ]
     with tempfile.TemporaryDirectory() as scratch:
         folder = Path(scratch)
@@ -238,6 +253,8 @@ def measure(repetitions: int, seconds: float) -> list[Row]:
 def lockstep_rows(folder: Path, repetitions: int) -> list[Row]:
     """The graph in lockstep against the executor and the bare chain, the three in turn."""
     fast: list[float] = []
+    composed: list[float] = []
+    composed_start: list[float] = []
     plain: list[float] = []
     floor: list[float] = []
     floor_latency: list[float] = []
@@ -253,6 +270,11 @@ def lockstep_rows(folder: Path, repetitions: int) -> list[Row]:
         latency.append(float(timing["nodes"]["plant"]["latency_p50_us"]))
         for name, found in run["timing_us"]["ftcm"].items():
             hops.setdefault(name, []).append(found["p50"])
+        together = experiment(folder, f"composed{i}", "--composed", "--set", "duration=10")
+        composed.append(together["timing"]["ftcm"]["ticks_per_second"])
+        composed_start.append(together["timing"]["ftcm"]["start_seconds"])
+        if together["missing_ticks"]["ftcm"]:
+            raise FtcmError(f"composed: ticks missing in the bag: {together['missing_ticks']['ftcm']}")
         slow = experiment(folder, f"executor{i}", "--set", "duration=2", "--data-path", "executor")
         plain.append(slow["timing"]["ftcm"]["ticks_per_second"])
         rate, median = bare_lockstep(5000)
@@ -263,6 +285,7 @@ def lockstep_rows(folder: Path, repetitions: int) -> list[Row]:
     work = 1e6 * (time.monotonic() - begin) / trace.ticks
     allowed = 1.5 * statistics.median(floor_latency) + work
     return [
+        ("lockstep, composed, with recorder, complete bags, ticks/s", spread(composed), "≥ 5,000"),
         ("lockstep, full graph, ticks/s", spread(fast), "≥ 3,000"),
         ("the same on the ordinary executor, ticks/s", spread(plain), ""),
         ("ratio, pair by pair", spread([a / b for a, b in zip(fast, plain)], 2), "≥ 5"),
@@ -274,50 +297,85 @@ def lockstep_rows(folder: Path, repetitions: int) -> list[Row]:
         ("hops of the full graph, from publication to publication, µs, median",
          ", ".join(f"{name} {statistics.median(hops[name]):.0f}" for name in CHAIN), ""),
         ("start of the graph to its first tick, s", spread(start, 2), "≤ 3"),
+        ("the same, composed, s", spread(composed_start, 2), "≤ 1.5"),
     ]  # fmt: skip
 
 
+FIFO = ("--priority", "50", "--lock-memory")
+MISSED, LATENCY, CORES, ERROR = "missed", "latency", "cores", "error"
+VARIANTS: dict[str, tuple[tuple[str, ...], bool, dict[str, str]]] = {
+    "composed": (
+        ("--composed",),
+        False,
+        {MISSED: "≤ 0.1, and ≤ 2 × the bare loop", LATENCY: "p50 ≤ 120, p99 ≤ 300", CORES: "≤ 0.35"},
+    ),
+    "composed, SCHED_FIFO": (("--composed", *FIFO), False, {MISSED: "≤ 0.01"}),
+    "composed, one core kept busy": (("--composed",), True, {MISSED: "≤ 1"}),
+    "composed, SCHED_FIFO, one core kept busy": (("--composed", *FIFO), True, {MISSED: "≤ 0.05"}),
+    "processes": (("--no-composed",), False, {MISSED: "≤ 3 × the bare chain"}),
+    "processes, SCHED_FIFO": (("--no-composed", *FIFO), False, {MISSED: "less than without"}),
+    "processes, one core kept busy": (("--no-composed",), True, {ERROR: "≤ 2"}),
+}
+"""Ways to run in real time: arguments of the experiment, whether a core is kept busy beside it, aims."""
+RATES = {"2 kHz": "dt=0.0005", "4 kHz": "dt=0.00025"}
+
+
 def real_time_rows(folder: Path, repetitions: int, seconds: float) -> list[Row]:
-    """The graph at 1 kHz with ordinary and real-time scheduling, and beside a busy process, in turn."""
+    """The graph at 1 kHz, composed and as processes, beside a bare loop and a bare chain, all in turn."""
     length = ("--set", f"duration={seconds:g}")
     lockstep = experiment(folder, "lockstep", *length)
-    variants: dict[str, tuple[tuple[str, ...], Any, tuple[str, str]]] = {
-        "ordinary scheduling": ((), contextlib.nullcontext, ("≤ 0.1", "")),
-        "SCHED_FIFO": (("--priority", "50", "--lock-memory"), contextlib.nullcontext, ("≤ 0.01", "")),
-        "one core kept busy": ((), busy_core, ("", "≤ 2")),
-    }
-    runs: dict[str, list[dict[str, Any]]] = {variant: [] for variant in variants}
+    runs: dict[str, list[dict[str, Any]]] = {variant: [] for variant in VARIANTS}
+    loop: list[float] = []
+    chain: list[float] = []
     for i in range(repetitions):
-        for variant, (arguments, load_beside, _) in variants.items():
+        say(f"real time, bare loop and bare chain, repetition {i + 1} of {repetitions}")
+        loop.append(bare_loop(round(1000 * seconds)))
+        chain.append(bare_real_time(round(1000 * min(seconds, 10.0))))
+        for variant, (arguments, beside, _) in VARIANTS.items():
             say(f"real time, {variant}, repetition {i + 1} of {repetitions}")
             name = f"rt{i}{variant.replace(' ', '')}"
-            with load_beside():
+            with busy_core() if beside else contextlib.nullcontext():
                 runs[variant].append(experiment(folder, name, "--mode", "real_time", *length, *arguments))
-    rows: list[Row] = []
-    for variant, (_, _, (aim, error_aim)) in variants.items():
-        timings = [run["timing"]["ftcm"]["nodes"] for run in runs[variant]]
-        plants = [nodes["plant"] for nodes in timings]
-        if refused := plants[0].get("not_permitted"):
-            rows.append((f"real time {seconds:g} s, {variant}", f"not measured: {refused}", aim))
-            continue
-        ticks = int(plants[0]["ticks"])
-        missed = [100.0 * int(plant["missed_deadlines"]) / ticks for plant in plants]
-        busy, waited = (
-            {n: statistics.median(1e6 * float(nodes[n][k]) / ticks for nodes in timings) for n in NODES}
-            for k in ("cpu_seconds", "waited_seconds")
-        )
-        cores = [sum(float(nodes[n]["cpu_seconds"]) for n in NODES) / seconds for nodes in timings]
-        errors = [error_ratio(run, lockstep) for run in runs[variant]]
-        causes = (", ".join(f"{c} {plant[c]}" for c in CAUSES) for plant in plants)
-        rows += [
-            (f"real time {seconds:g} s, {variant}: deadlines missed, %", spread(missed, 2), aim),
-            (f"real time, {variant}: causes in each run", " / ".join(causes), ""),
-            (f"real time, {variant}: processors, all nodes", spread(cores, 2), "≤ 1" if aim else ""),
-            (f"real time, {variant}: tracking error, times that of lockstep", spread(errors, 2), error_aim),
-            (f"real time, {variant}: µs per tick on a processor + ready but waiting for one",
-             ", ".join(f"{n} {busy[n]:.0f} + {waited[n]:.0f}" for n in NODES), ""),
-        ]  # fmt: skip
+    rows: list[Row] = [
+        ("bare loop at 1 kHz, the same sleep and no work: missed, %", spread(loop, 3), ""),
+        ("bare chain of four processes at 1 kHz, no work, no recorder: missed, %", spread(chain, 2), ""),
+    ]
+    for variant, (_, _, aims) in VARIANTS.items():
+        rows += variant_rows(variant, runs[variant], lockstep, seconds, aims)
+    for rate, setting in RATES.items():
+        say(f"real time, composed at {rate}")
+        fast = experiment(folder, f"rt{rate}", "--mode", "real_time", "--composed", *length, "--set", setting)
+        plant = fast["timing"]["ftcm"]["nodes"]["plant"]
+        share = 100.0 * int(plant["missed_deadlines"]) / int(plant["ticks"])
+        rows.append((f"real time, composed at {rate}: missed, %", f"{share:.2f}", ""))
     return rows
+
+
+def variant_rows(
+    variant: str, runs: list[dict[str, Any]], lockstep: dict[str, Any], seconds: float, aims: dict[str, str]
+) -> list[Row]:
+    """What was measured of one way to run in real time."""
+    what = f"real time, {variant}"
+    timings = [run["timing"]["ftcm"]["nodes"] for run in runs]
+    plants = [nodes["plant"] for nodes in timings]
+    if refused := plants[0].get("not_permitted"):
+        return [(f"{what}: missed, %", f"not measured: {refused}", aims.get(MISSED, ""))]
+    ticks = int(plants[0]["ticks"])
+    missed = [100.0 * int(plant["missed_deadlines"]) / ticks for plant in plants]
+    latencies = (spread([float(plant[f"latency_{p}_us"]) for plant in plants]) for p in ("p50", "p99"))
+    cores = [sum(by_process(nodes, "cpu_seconds").values()) / seconds for nodes in timings]
+    errors = [error_ratio(run, lockstep) for run in runs]
+    causes = (", ".join(f"{c} {plant[c]}" for c in CAUSES if plant[c] != "0") or "none" for plant in plants)
+    busy, waited = (by_process(timings[0], key) for key in ("cpu_seconds", "waited_seconds"))
+    per_tick = [f"{n} {1e6 * busy[n] / ticks:.0f} + {1e6 * waited[n] / ticks:.0f}" for n in busy]
+    return [
+        (f"{what}: missed, %", spread(missed, 3), aims.get(MISSED, "")),
+        (f"{what}: causes in each run", " / ".join(causes), ""),
+        (f"{what}: latency p50, p99, µs", ", ".join(latencies), aims.get(LATENCY, "")),
+        (f"{what}: processors, all nodes", spread(cores, 2), aims.get(CORES, "")),
+        (f"{what}: tracking error, times that of lockstep", spread(errors, 2), aims.get(ERROR, "")),
+        (f"{what}: µs per tick on a processor + ready but waiting for one", ", ".join(per_tick), ""),
+    ]
 
 
 def analysis_rows(folder: Path, repetitions: int) -> list[Row]:

@@ -26,6 +26,7 @@ from ftcm_ros.run.external_nodes import AmbientDomain, ExternalNodes
 from ftcm_ros.run.lifecycle import Managed, drive
 from ftcm_ros.run.local_nodes import LocalNodes
 from ftcm_ros.run.progress import Progress, say
+from ftcm_ros.run.verdict import verdict
 from ftcm_ros.run.watchdog import CHAIN, Watchdog
 from ftcm_ros.transport.domain import Domain
 from ftcm_ros.transport.joining import join_as
@@ -114,6 +115,10 @@ class Run:
             rclpy.try_shutdown()
             self.timing["nodes"] = self.health
             self.timing["processes"] = [*by_process(self.health, "cpu_seconds")]
+            if self.options.mode == "real_time" and int(self.health.get("plant", {}).get("ticks", 0)):
+                self.timing["verdict"] = verdict(
+                    self.health, self.scenario.dt, self.options.priority, os.cpu_count() or 1
+                )
         for name, code in codes.items():
             ending = self.processes.ending(name, code, " after the run")
             if code > 0:

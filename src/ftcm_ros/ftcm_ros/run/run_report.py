@@ -67,5 +67,8 @@ def report(folder: Path, runs: list[Run], options: argparse.Namespace) -> list[s
     if not options.no_figures:
         write_figure(samples, folder / "figures" / "timing.png")
     print((folder / "table.md").read_text(encoding="utf-8").rstrip())
+    for run in runs:
+        if "verdict" in run.timing:
+            say(f"{run.label}: {run.timing['verdict']}")
     say(f"results: {folder}/summary.json, table.md, figures/, bags/")
     return unreadable
