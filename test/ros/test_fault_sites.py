@@ -11,6 +11,7 @@ import pytest
 
 pytest.importorskip("rclpy", reason="ROS 2 (rclpy) is not installed")
 
+from ftcm_core import compiled
 from ftcm_core.scenario import Scenario, from_mapping, load
 from ftcm_core.scenario.definition import replace
 from ftcm_core.signals import COLUMNS
@@ -70,6 +71,18 @@ def test_a_fault_of_every_site_at_once(experiment: Callable[..., Any], tmp_path:
     for i, fault in enumerate(scenario.faults):  # each of them has made a difference
         others = scenario.faults[:i] + scenario.faults[i + 1 :]
         assert not same(expected, simulate(replace(scenario, faults=others))), fault
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("nodes", ["--composed", "--no-composed"])
+def test_compiled_stages_give_the_compiled_run(
+    experiment: Callable[..., Any], tmp_path: Path, nodes: str
+) -> None:
+    pytest.importorskip("numba")
+    scenario = from_mapping(EVERYTHING)
+    bag = over_the_graph(experiment, tmp_path, scenario, nodes, "--stages", "compiled")
+    assert {bag.nodes[n]["stages"] for n in bag.nodes if n != "recorder"} == {"compiled"}
+    assert same(bag.trace, compiled.simulate(scenario))
 
 
 @pytest.mark.slow

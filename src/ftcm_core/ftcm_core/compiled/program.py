@@ -63,14 +63,25 @@ class Program:
 
     def parameters(self, loop: Loop) -> Array | None:
         """Return the parameters of a run; None if this program is not for it."""
-        known: dict[Steps, Any] = {}
-        try:
-            if any(look_up(loop, steps, known) != value for steps, value in self.fixed.items()):
-                return None
-            found = [look_up(loop, steps, known) for steps in self.slots]
-        except (AttributeError, LookupError, TypeError):
+        return parameters_of(loop, self.slots, self.fixed)
+
+
+def parameters_of(root: Any, slots: dict[Steps, str], fixed: dict[Steps, Any]) -> Array | None:
+    """Return the parameters that a source reads; None if it is not for this run or stage.
+
+    Args:
+        root: the run or stage.
+        slots: where the parameters are found.
+        fixed: what the source has decided once.
+    """
+    known: dict[Steps, Any] = {}
+    try:
+        if any(look_up(root, steps, known) != value for steps, value in fixed.items()):
             return None
-        return np.array(found, dtype=np.float64) if all(isinstance(x, float) for x in found) else None
+        found = [look_up(root, steps, known) for steps in slots]
+    except (AttributeError, LookupError, TypeError):
+        return None
+    return np.array(found, dtype=np.float64) if all(isinstance(x, float) for x in found) else None
 
 
 _programs: list[Program] = []
@@ -89,7 +100,7 @@ def program_for(loop: Loop) -> tuple[Program, Array]:
             if parameters is not None:
                 return program, parameters
     tracer, text = write(loop)
-    program = Program(structure, tracer.slots, tracer.fixed, *_compiled(text))
+    program = Program(structure, tracer.slots, tracer.fixed, *compiled(text, "ticks", "accelerations"))
     parameters = program.parameters(loop)
     if parameters is None:
         raise NotCompilable("a component's parameters change by themselves")
@@ -133,29 +144,39 @@ def write(loop: Loop) -> tuple[Tracer, str]:
     count = sum(1 for _ in numbers(state))
     tick_lines = tracer.lines_of(lambda: _tick(tracer, loop, state))
     acceleration_lines = tracer.lines_of(lambda: _acceleration(tracer, loop))
-    parameters = [f"{name} = parameters[{i}]" for i, name in enumerate(tracer.slots.values())]
+    parameters = reading(tracer)
     lines = [
         f"@numba.njit({_TICKS!r}, cache=CACHED)",
         "def ticks(parameters, state, k, last, dt_ns, rows, reached):",
-        *_indented(1, parameters),
-        *_indented(1, [f"s{i} = state[{i}]" for i in range(count)]),
+        *indented(1, parameters),
+        *indented(1, [f"s{i} = state[{i}]" for i in range(count)]),
         "    while k < last:",
         "        reached[0] = k",
         "        time_ns = k * dt_ns",
-        *_indented(2, tick_lines),
-        *_indented(1, [f"state[{i}] = s{i}" for i in range(count)]),
+        *indented(2, tick_lines),
+        *indented(1, [f"state[{i}] = s{i}" for i in range(count)]),
         "    return k",
         "",
         "",
         f"@numba.njit({_ACCELERATIONS!r}, cache=CACHED)",
         "def accelerations(parameters, positions, torques, out):",
-        *_indented(1, parameters),
+        *indented(1, parameters),
         "    k = 0",
         "    while k < len(out):",
-        *_indented(2, acceleration_lines),
+        *indented(2, acceleration_lines),
         "    return k",
     ]
-    return tracer, "\n".join([_HEAD, *_leaves(tracer), *_blocks(tracer), *lines]) + "\n"
+    return tracer, module_of(tracer, lines)
+
+
+def reading(tracer: Tracer) -> list[str]:
+    """Lines that read the parameters."""
+    return [f"{name} = parameters[{i}]" for i, name in enumerate(tracer.slots.values())]
+
+
+def module_of(tracer: Tracer, lines: list[str]) -> str:
+    """Source of a module with these functions, and those that they call."""
+    return "\n".join([_HEAD, *_leaves(tracer), *_blocks(tracer), *lines]) + "\n"
 
 
 def _blocks(tracer: Tracer) -> Iterator[str]:
@@ -165,8 +186,8 @@ def _blocks(tracer: Tracer) -> Iterator[str]:
         used = sorted(set(re.findall(r"\bp\d+\b", "\n".join(lines))), key=positions.__getitem__)
         yield "@numba.njit"
         yield f"def {name}({', '.join(['parameters', *(f'a{i}' for i in range(count))])}):"
-        yield from _indented(1, [f"{p} = parameters[{positions[p]}]" for p in used])
-        yield from _indented(1, lines)
+        yield from indented(1, [f"{p} = parameters[{positions[p]}]" for p in used])
+        yield from indented(1, lines)
         yield "\n"
 
 
@@ -178,16 +199,26 @@ def _tick(tracer: Tracer, loop: Loop, state: tuple[Any, ...]) -> list[str]:
     time_ns = Symbol(tracer, "time_ns")
     row, u, d = run.act(time_ns)
     run.plant.step(time_ns, u, d)
-    moved = state_of(run)  # type: ignore[arg-type]
-    if shape(moved) != shape(state):
-        raise NotCompilable("what a component remembers changes its structure from tick to tick")
-    following = {f"s{i}": literal(x) for i, x in enumerate(numbers(moved))}
-    changed = {name: text for name, text in following.items() if text != name}
     return [
         *(f"rows[k, {i}] = {literal(x)}" for i, x in enumerate(row)),
+        *following(state, state_of(run)),  # type: ignore[arg-type]
+        "k += 1",
+    ]
+
+
+def following(state: Any, moved: Any) -> list[str]:
+    """Lines that put the next state in the place of the present one.
+
+    Raises:
+        NotCompilable: it has another structure.
+    """
+    if shape(moved) != shape(state):
+        raise NotCompilable("what a component remembers changes its structure from tick to tick")
+    found = {f"s{i}": literal(x) for i, x in enumerate(numbers(moved))}
+    changed = {name: text for name, text in found.items() if text != name}
+    return [
         *(f"next_{name} = {text}" for name, text in changed.items()),
         *(f"{name} = next_{name}" for name in changed),
-        "k += 1",
     ]
 
 
@@ -200,7 +231,8 @@ def _acceleration(tracer: Tracer, loop: Loop) -> list[str]:
     return [*(f"out[k, {j}] = {literal(x)}" for j, x in enumerate(found)), "k += 1"]
 
 
-def _indented(depth: int, lines: list[str]) -> Iterator[str]:
+def indented(depth: int, lines: list[str]) -> Iterator[str]:
+    """Yield lines of a deeper level."""
     return (" " * 4 * depth + line for line in lines)
 
 
@@ -331,7 +363,16 @@ def _leaves(tracer: Tracer) -> list[str]:
 # ---- compiling ----
 
 
-def _compiled(text: str) -> tuple[Callable[..., int], Callable[..., int]]:
+def compiled(text: str, *functions: str) -> list[Callable[..., int]]:
+    """Compile a module, or find it compiled.
+
+    Args:
+        text: its source.
+        functions: what of it is wanted.
+
+    Raises:
+        NotCompilable: numba does not take it.
+    """
     import numba
 
     folder = cache_folder()
@@ -342,9 +383,9 @@ def _compiled(text: str) -> tuple[Callable[..., int], Callable[..., int]]:
         if folder is None:
             names: dict[str, Any] = {"__name__": name}
             exec(compile(text, f"<{name}>", "exec"), names)
-            return names["ticks"], names["accelerations"]
-        module = _imported(folder / f"tick_{digest}.py", name, text)
-        return module.ticks, module.accelerations
+            return [names[function] for function in functions]
+        module = _imported(folder / f"{functions[0]}_{digest}.py", name, text)
+        return [getattr(module, function) for function in functions]
     except numba.core.errors.NumbaError as error:
         raise NotCompilable(f"numba: {str(error).splitlines()[0]}") from None
 

@@ -61,7 +61,7 @@ class Loop:
         d = self.injector.step(time_ns, q, v, u)
         row = (*q, *v, *y.effort, *tau_hat, *u, *d.torque, *reference.position, *reference.velocity)
         if self.hidden:
-            row += (*y.position, *y.velocity, *self.plant.state.joint_torque)
+            row += (*y.position, *y.velocity, *self.plant.joint_torque)
         if self.detector:
             found = self.detector.step(y, u, tau_hat)
             row += (*found.residual, *found.alarm)

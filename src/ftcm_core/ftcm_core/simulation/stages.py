@@ -139,6 +139,11 @@ class PlantStage:
         """The true joint positions (rad) and velocities (rad/s)."""
         return self.plant.motion(self.state.motion)
 
+    @property
+    def joint_torque(self) -> Vector:
+        """Torque on the joints over the tick that has just ended, N·m."""
+        return self.state.joint_torque
+
     def measure(self) -> Measurement:
         """y_k: measured motion, and the torque of the drives over the tick that has just ended.
 

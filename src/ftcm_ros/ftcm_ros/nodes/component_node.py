@@ -4,11 +4,11 @@
 from __future__ import annotations
 
 import json
-from abc import abstractmethod
 from typing import Any
 
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
 
+from ftcm_core.compiled.stage import StageProgram
 from ftcm_core.errors import FtcmError
 from ftcm_core.registry import Component, components
 from ftcm_core.signals import NANOSECONDS, Vector
@@ -35,21 +35,27 @@ class ComponentNode(ReactiveNode):
                 f"the scenario has no {kind}; expected one, e.g. {kind}: {next(iter(components(kind)))}"
             )
         self._announce = self.plane.publisher(CHANGES)
-        self._pending: Component | None = None
+        self._pending: tuple[Component, StageProgram | None] | None = None
+        """A component to use from the next tick on, and its program where stages are compiled."""
         self._announced: Component | None = None
         self._output: Vector = ()
+        self.stage: Any = None
         self.parameters = ComponentParameters(
-            self, kind, initial, self.scenario.robot.joints, self._on_change
+            self, kind, initial, self.scenario.robot.joints, self._on_change, self._ready
         )
 
+    def _ready(self, component: Component) -> None:
+        """Compile what a change needs, while the ticks go on."""
+        if self.stages == "compiled":
+            self.program(component)
+
     def _on_change(self, component: Component) -> None:
-        self._pending = component
+        self._pending = component, self.program(component) if self.stages == "compiled" else None
         for line in getattr(component, "warnings", list)():
             self.get_logger().warning(line)
 
-    @abstractmethod
     def use(self, component: Component) -> None:
-        """Use this component from the next tick on."""
+        """Note that the stage uses this component from the next tick on."""
 
     def configure(self) -> None:
         """Begin afresh with the component that the parameters say."""
@@ -62,7 +68,8 @@ class ComponentNode(ReactiveNode):
     def take(self, name: str, sample: Any) -> None:
         """Apply a pending change before the inputs of the next tick are looked at."""
         if self._pending is not None and (self.aligner.last is None or sample.time_ns > self.aligner.last):
-            component, self._pending = self._pending, None
+            (component, program), self._pending = self._pending, None
+            self.stage.swap(*([component] if program is None else [component, program]))
             self.use(component)
         super().take(name, sample)
 

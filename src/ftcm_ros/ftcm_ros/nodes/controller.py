@@ -41,7 +41,7 @@ class ControllerNode(ComponentNode):
         """A fresh control law."""
         super().configure()
         law = cast(Controller, self.parameters.component)
-        self.stage = ControllerStage(self.scenario, law)
+        self.stage = self.staged(ControllerStage(self.scenario, law), law)
         self._require(law)
 
     def _require(self, law: Controller) -> None:
@@ -49,10 +49,8 @@ class ControllerNode(ComponentNode):
         self.aligner.required = names if law.needs_observer else names[:1]
 
     def use(self, component: Component) -> None:
-        """Swap the law."""
-        law = cast(Controller, component)
-        self.stage.swap(law)
-        self._require(law)
+        """Wait for the estimate, or not, as the law needs it."""
+        self._require(cast(Controller, component))
 
     def prepare(self, time_ns: int, sample: JointSample) -> None:
         """All of the torque but the estimate, while the observer works."""

@@ -42,21 +42,20 @@ class DetectorNode(ComponentNode):
     def configure(self) -> None:
         """A fresh detector."""
         super().configure()
-        self.stage = DetectorStage(self.scenario)
-        self.stage.detector = cast(Detector, self.parameters.component)
-        self.stage.state = self.stage.detector.init(self.scenario.robot.joints)
+        detector = cast(Detector, self.parameters.component)
+        stage = DetectorStage(self.scenario)
+        stage.detector, stage.state = detector, detector.init(self.scenario.robot.joints)
+        self.stage = self.staged(stage, detector)
         self.alarms, self.last = 0, None
-        self._require(self.stage.detector)
+        self._require(detector)
 
     def _require(self, detector: Detector) -> None:
         names = (JOINT_STATES.name, ESTIMATE.name, TORQUES.name)
         self.aligner.required = names if detector.needs_observer else (names[0], names[2])
 
     def use(self, component: Component) -> None:
-        """Swap the detector."""
-        detector = cast(Detector, component)
-        self.stage.swap(detector)
-        self._require(detector)
+        """Wait for the estimate, or not, as the detector needs it."""
+        self._require(cast(Detector, component))
 
     def answer(self, time_ns: int, values: dict[str, JointSample]) -> Answer:
         """One set of residuals and alarms."""

@@ -28,7 +28,7 @@ class InjectorNode(ReactiveNode):
     def configure(self) -> None:
         """Disturbances and faults as they are before the first tick."""
         super().configure()
-        self.stage = InjectorStage(self.scenario)
+        self.stage = self.staged(InjectorStage(self.scenario))
 
     def answer(self, time_ns: int, values: dict[str, JointSample]) -> Answer:
         """One disturbance."""

@@ -8,7 +8,6 @@ import sys
 from typing import cast
 
 from ftcm_core.observers import Observer
-from ftcm_core.registry import Component
 from ftcm_core.signals import Measurement
 from ftcm_core.simulation.stages import ObserverStage
 from ftcm_ros.nodes.component_node import ComponentNode
@@ -33,11 +32,8 @@ class ObserverNode(ComponentNode):
         """A fresh observer."""
         super().configure()
         observer = cast(Observer, self.parameters.component)
-        self.stage = ObserverStage(observer, self.scenario.model, self.scenario.dt)
-
-    def use(self, component: Component) -> None:
-        """Swap the observer."""
-        self.stage.swap(cast(Observer, component))
+        stage = ObserverStage(observer, self.scenario.model, self.scenario.dt)
+        self.stage = self.staged(stage, observer)
 
     def answer(self, time_ns: int, values: dict[str, JointSample]) -> Answer:
         """One estimate."""

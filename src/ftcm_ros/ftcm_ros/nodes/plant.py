@@ -93,7 +93,7 @@ class PlantNode(SuiteNode):
     def configure(self) -> None:
         """The robot at its initial state."""
         joints = self.scenario.robot.joints
-        self.stage = PlantStage(self.scenario)
+        self.stage = self.staged(PlantStage(self.scenario))
         self.misses = Misses()
         self.pacer = PACERS[self.mode](self.scenario.dt_ns, misses=self.misses)
         self.tick = 0
@@ -246,7 +246,7 @@ class PlantNode(SuiteNode):
         self._truth = None
         if reveal:
             q, v = self.stage.motion
-            self._truth = self._truths.ready(time_ns, q, v, self.stage.state.joint_torque)
+            self._truth = self._truths.ready(time_ns, q, v, self.stage.joint_torque)
 
     def _finish(self, state: str, time_ns: int, reason: str) -> None:
         t = seconds(time_ns)

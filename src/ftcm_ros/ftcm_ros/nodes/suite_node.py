@@ -17,8 +17,10 @@ from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
 from rcl_interfaces.msg import ParameterDescriptor
 from rclpy.lifecycle import LifecycleNode, LifecycleState, TransitionCallbackReturn
 
+from ftcm_core.compiled import NotCompilable
+from ftcm_core.compiled.stage import StageProgram, compiled_stage, stage_program
 from ftcm_core.errors import FtcmError
-from ftcm_core.registry import load_plugins
+from ftcm_core.registry import Component, load_plugins
 from ftcm_core.scenario import Scenario, load
 from ftcm_core.signals import NANOSECONDS, seconds
 from ftcm_ros.parameters.node_parameters import setting
@@ -73,6 +75,8 @@ class SuiteNode(LifecycleNode):
         self.plane = (
             ComposedPlane(self, name, composition) if composition else make_plane(self, path, self.gathers)
         )
+        self.stages: str = self.setting("stages") if name != "recorder" else ""
+        """``plain`` or ``compiled``."""
         self.active = False
         self.stopping = False
         self._failure = ""
@@ -95,6 +99,31 @@ class SuiteNode(LifecycleNode):
         text = declared.description + (f"; one of {', '.join(declared.choices)}" if declared.choices else "")
         descriptor = ParameterDescriptor(description=text, read_only=True)
         return declared.check(self.declare_parameter(name, declared.default, descriptor).value)
+
+    def staged(self, stage: Any, component: Component | None = None) -> Any:
+        """Return this node's stage, or what stands in its place compiled.
+
+        Args:
+            stage: the stage.
+            component: that it uses, where that may be another than the scenario's.
+
+        Raises:
+            FtcmError: it cannot be compiled.
+        """
+        if self.stages == "plain":
+            return stage
+        return compiled_stage(stage, self.program(component))
+
+    def program(self, component: Component | None = None) -> StageProgram:
+        """Compile this node's stage with a component, or find it compiled.
+
+        Raises:
+            FtcmError: it cannot be compiled.
+        """
+        try:
+            return stage_program(self.name_in_suite, self.scenario, component)
+        except NotCompilable as error:
+            raise FtcmError(f"stages: compiled is not possible: {error}; use stages: plain") from None
 
     # Lifecycle. Transitions run on the services thread; what touches the data runs on the main one.
 
@@ -305,6 +334,8 @@ class SuiteNode(LifecycleNode):
             "process": PROCESS,
             "cpu_seconds": round(time.process_time() - self._time_marks[0], 3),
         }
+        if self.stages:
+            common["stages"] = self.stages
         if not self.active:  # it takes too long to be looked at while the ticks go on
             common["waited_seconds"] = round(scheduling.waited_seconds() - self._time_marks[1], 3)
         if self._not_permitted:

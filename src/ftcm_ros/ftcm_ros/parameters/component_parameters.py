@@ -50,7 +50,13 @@ class ComponentParameters:
     """The parameters of every registered component of one kind on a node, and which is chosen."""
 
     def __init__(
-        self, node: Node, kind: str, initial: Component, joints: int, on_change: Callable[[Component], None]
+        self,
+        node: Node,
+        kind: str,
+        initial: Component,
+        joints: int,
+        on_change: Callable[[Component], None],
+        ready: Callable[[Component], object] = lambda component: None,
     ) -> None:
         """Declare them, with the initial component's values as defaults.
 
@@ -60,6 +66,7 @@ class ComponentParameters:
             initial: the scenario's component.
             joints: number of joints of the robot.
             on_change: called with the new component after a successful change.
+            ready: called with it before; raises an FtcmError if the node cannot use it.
 
         Raises:
             FtcmError: a parameter override given at start is not valid.
@@ -68,6 +75,7 @@ class ComponentParameters:
         self._node = node
         self._joints = joints
         self._on_change = on_change
+        self._ready = ready
         self._names: dict[str, str] = {kind: initial.type_name}
         self._specs: dict[str, tuple[str, ParamSpec]] = {}
         known = ", ".join(components(kind))
@@ -124,7 +132,7 @@ class ComponentParameters:
         changes = self._mine(parameters)
         if changes:
             try:
-                self._build(changes)
+                self._ready(self._build(changes))
             except FtcmError as error:
                 return SetParametersResult(successful=False, reason=str(error))
         return SetParametersResult(successful=True)

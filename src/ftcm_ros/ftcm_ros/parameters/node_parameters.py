@@ -63,9 +63,19 @@ _COMMON = (
     Setting("processors", "", "processors to run on, e.g. 0,1; empty: all"),
 )
 
+_TICK = (
+    *_COMMON,
+    Setting(
+        "stages",
+        "plain",
+        "what does the node's part of a tick: plain Python, or machine code made of it at the start (numba)",
+        ("plain", "compiled"),
+    ),
+)
+
 SETTINGS: dict[str, tuple[Setting, ...]] = {
     "plant": (
-        *_COMMON,
+        *_TICK,
         Setting(
             "mode",
             "real_time",
@@ -83,10 +93,10 @@ SETTINGS: dict[str, tuple[Setting, ...]] = {
             "real_time: ticks without fresh torque after which the drives brake (safe stop); 0: never",
         ),
     ),
-    "observer": _COMMON,
-    "controller": _COMMON,
-    "injector": _COMMON,
-    "detector": _COMMON,
+    "observer": _TICK,
+    "controller": _TICK,
+    "injector": _TICK,
+    "detector": _TICK,
     "recorder": (
         *_COMMON,
         Setting("bag", "", "folder of the bag to make, which must not exist; empty: ftcm-DATE-TIME"),

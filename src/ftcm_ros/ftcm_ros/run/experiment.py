@@ -58,6 +58,13 @@ def build_parser() -> argparse.ArgumentParser:
         "processes in lockstep",
     )
     parser.add_argument(
+        "--stages",
+        choices=setting("plant", "stages").choices,
+        default="plain",
+        help="what does the work of a tick: plain Python, or machine code made of it at the start (numba); "
+        "default: plain",
+    )
+    parser.add_argument(
         "--set", action="append", default=[], metavar="PATH=VALUE", help="e.g. observer.k1=10000"
     )
     parser.add_argument(

@@ -142,13 +142,15 @@ class Run:
             "lock_memory": self.options.lock_memory,
             "processors": self.options.processors,
         }
+        stages = {n: {"stages": self.options.stages} for n in self.nodes if n != "recorder"}
         extra: dict[str, dict[str, Any]] = {
             "plant": {"mode": self.options.mode, "recorder_window": RECORDER_WINDOW},
             "recorder": {"bag": str(self.bag.resolve()), "storage": self.options.storage},
         }
         self.bag.parent.mkdir(parents=True, exist_ok=True)
         together = tuple(n for n in self.nodes if n != "recorder") if composed(self.options) else ()
-        self.processes.start({n: {**common, **extra.get(n, {})} for n in self.nodes}, together)
+        parameters = {n: {**common, **stages.get(n, {}), **extra.get(n, {})} for n in self.nodes}
+        self.processes.start(parameters, together)
         for name in MATCHING_ORDER:
             if name in self.nodes:
                 self.transition("configure", (name,))

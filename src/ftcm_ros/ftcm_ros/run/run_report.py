@@ -57,6 +57,7 @@ def report(folder: Path, runs: list[Run], options: argparse.Namespace) -> list[s
     samples = [(label, hop_times(b)) for label, b in contents]
     extra = {
         "mode": options.mode,
+        "stages": options.stages,
         "timing_us": {label: percentiles(found) for label, found in samples},
         "timing": {run.label: run.timing for run in runs},
         "missing_ticks": {label: bag.missing for label, bag in contents},
