@@ -289,6 +289,16 @@ def test_a_closed_pipe_is_quiet() -> None:
     process.stderr.close()
 
 
+def test_a_closed_standard_output_is_one_line() -> None:
+    run = subprocess.run(
+        ["sh", "-c", 'exec "$@" >&-', "sh", *COMMAND, "simulate", "paper", "--set", "duration=0.1"],
+        stderr=subprocess.PIPE, text=True, timeout=120, env=environment(),
+    )  # fmt: skip
+    assert run.returncode == 1
+    (line,) = run.stderr.splitlines()
+    assert line.startswith("ftcm: error: standard output is closed")
+
+
 @pytest.mark.skipif(not Path("/dev/full").exists(), reason="needs /dev/full")
 def test_a_full_disk_is_one_line() -> None:
     """The machine's failure, not the user's: exit status 1."""

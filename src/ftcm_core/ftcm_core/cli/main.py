@@ -37,10 +37,11 @@ def main(argv: Sequence[str] | None = None) -> int:
             stream.reconfigure(errors="replace")
     try:
         arguments = _parser().parse_args(argv)
+        if sys.stdout is None:
+            return fail("standard output is closed; results go there: redirect it, e.g. > FILE", 1)
         load_plugins(arguments.plugin)
         code: int = arguments.run(arguments)
-        if sys.stdout is not None:
-            sys.stdout.flush()
+        sys.stdout.flush()
         return code
     except FtcmError as error:
         return fail(str(error), 2)

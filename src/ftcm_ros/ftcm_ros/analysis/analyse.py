@@ -113,7 +113,10 @@ def _repair(bags: list[BagContents], target: Path) -> None:
 def main(argv: list[str] | None = None) -> None:
     """Entry point of ``ros2 run ftcm_ros analyse``."""
     try:
-        status = analyse(build_parser().parse_args(argv))
+        options = build_parser().parse_args(argv)
+        if sys.stdout is None:
+            raise OSError("standard output is closed; results go there: redirect it, e.g. > FILE")
+        status = analyse(options)
         sys.stdout.flush()
     except FtcmError as error:
         print(f"analyse: error: {error}", file=sys.stderr)

@@ -13,7 +13,7 @@ import rclpy
 from rclpy.exceptions import InvalidParameterTypeException, InvalidParameterValueException
 
 from ftcm_core.errors import FtcmError
-from ftcm_ros.nodes.parent import end_with_parent
+from ftcm_ros.nodes.parent import end_with_parent, take_signals
 from ftcm_ros.nodes.suite_node import SuiteNode
 from ftcm_ros.timing import scheduling
 from ftcm_ros.transport.joining import join, joining
@@ -46,6 +46,7 @@ def run(make: Callable[[], SuiteNode | Sequence[SuiteNode]], name: str = "ftcm_r
     signal.signal(signal.SIGTERM, stop)
     end_with_parent()
     try:
+        take_signals()
         join()
         with joining():
             made = make()

@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import math
 import sys
 import time
 from collections.abc import Callable
@@ -87,7 +88,12 @@ class RecorderNode(SuiteNode):
             return
         last = self.scenario.last_tick * self.scenario.dt_ns
         self._last_message = time.monotonic()
-        while recording.complete_to != last and time.monotonic() - self._last_message < QUIET_SECONDS:
+        end = time.monotonic() + QUIET_SECONDS if self.stopping else math.inf  # then the others may go on
+        while (
+            recording.complete_to != last
+            and time.monotonic() - self._last_message < QUIET_SECONDS
+            and time.monotonic() < end
+        ):
             self.plane.collect(BATCH_SECONDS)
         self.recording = None
         recording.close()

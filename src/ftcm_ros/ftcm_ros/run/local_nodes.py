@@ -15,7 +15,7 @@ from typing import Any
 import psutil
 
 from ftcm_core.errors import FtcmError
-from ftcm_ros.nodes.parent import PARENT_VARIABLE
+from ftcm_ros.nodes.parent import PARENT_VARIABLE, hold_signals
 from ftcm_ros.run.external_nodes import write_parameters
 from ftcm_ros.transport.network import enclave
 
@@ -75,7 +75,7 @@ class LocalNodes:
         with (self.folder / f"{process}.log").open("wb") as log:
             self.processes[process] = subprocess.Popen(
                 command, env=self.environment, stdin=subprocess.DEVNULL, stdout=log, stderr=subprocess.STDOUT,
-                start_new_session=True, pass_fds=self.files,
+                start_new_session=True, pass_fds=self.files, preexec_fn=hold_signals,
             )  # fmt: skip
 
     def _process_of(self, node: str) -> str:
@@ -163,4 +163,4 @@ def describe_exit(code: int) -> str:
     """Say how a process ended."""
     if code < 0:
         return f"was ended by {signal.Signals(-code).name}"
-    return f"ended with status {code}"
+    return f"ended with status {code}" if code else "has ended as one that was told to (status 0)"

@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 import os
+import sys
 from pathlib import Path
 
 PROFILES = Path(__file__).with_name("fastdds.xml")
@@ -16,6 +17,28 @@ SHOWN = (
     "ROS_SECURITY_STRATEGY",
 )
 """Variables that decide who takes part, besides the domain."""
+
+
+def require_middleware() -> None:
+    """End the process with one line if ``RMW_IMPLEMENTATION`` names a middleware that is not there.
+
+    ROS itself would end it while rclpy is imported, in words of its own.
+
+    Raises:
+        SystemExit: it is not there.
+    """
+    wanted = os.environ.get("RMW_IMPLEMENTATION")
+    prefixes = [*filter(None, os.environ.get("AMENT_PREFIX_PATH", "").split(os.pathsep)), sys.prefix]
+    index = [Path(prefix, "share", "ament_index", "resource_index", "rmw_typesupport") for prefix in prefixes]
+    there = {file.name for folder in index if folder.is_dir() for file in folder.iterdir()}
+    there.discard("rmw_implementation")
+    if wanted and there and wanted not in there:
+        print(
+            f"ftcm_ros: error: RMW_IMPLEMENTATION={wanted}: no such middleware here; there is "
+            f"{', '.join(sorted(there))}; unset it, or install the other",
+            file=sys.stderr,
+        )
+        raise SystemExit(2)
 
 
 def secured() -> bool:
