@@ -5,9 +5,12 @@ from __future__ import annotations
 
 import contextlib
 import dataclasses
+import json
+import random
 import resource
 import shutil
 import subprocess
+import zlib
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
@@ -18,6 +21,9 @@ import pytest
 pytest.importorskip("rosbags")
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from mcap import records as records_of_mcap
+from mcap.reader import NonSeekingReader
+from mcap.stream_reader import StreamReader
 from rosbags.highlevel import AnyReader
 from rosbags.rosbag2 import Writer
 from rosbags.typesys import Stores, get_typestore
@@ -248,7 +254,7 @@ def test_mistakes_are_one_line_each(trace: Trace, tmp_path: Path) -> None:
     assert "no messages on /joint_states" in one_line(analyse(tmp_path / "topics"))
     write(tmp_path / "bag", trace)
     damaged = tmp_path / "bag" / "bag.mcap"
-    damaged.write_bytes(bytes(8) + damaged.read_bytes()[8:])
+    damaged.write_bytes(bytes(1000))
     assert "cannot be read" in one_line(analyse(tmp_path / "bag"))
     write(tmp_path / "good", trace)
     assert "exists already" in one_line(analyse(tmp_path / "good", "--output", tmp_path))
@@ -495,3 +501,105 @@ def test_results_that_cannot_be_written_are_one_line(trace: Trace, tmp_path: Pat
         capture_output=True, text=True, check=False,
     )  # fmt: skip
     assert "cannot be written to" in one_line(run)
+
+
+# Damage.
+
+
+@pytest.fixture(scope="module")
+def sound(trace: Trace, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A closed mcap bag of three chunks of ticks."""
+    path = tmp_path_factory.mktemp("sound") / "bag"
+    assert isinstance(trace.scenario, Scenario)
+    recording = Recording(path, "mcap", trace.scenario)
+    for k in range(trace.ticks):
+        for topic, data in messages(trace, k):
+            recording.write(topic, 10**18 + k * 10**6, data)
+        if k % 100 == 99:
+            recording.flush()
+    recording.close()
+    return path
+
+
+def changed(sound: Path, folder: Path, place: int) -> Path:
+    """A copy of a bag with one byte of its file changed."""
+    target = folder / f"bag{place}"
+    shutil.copytree(sound, target)
+    (file,) = target.glob("*.mcap")
+    data = bytearray(file.read_bytes())
+    data[place] ^= 0x41
+    file.write_bytes(data)
+    return target
+
+
+def test_a_bag_has_the_checksums_of_the_format(sound: Path) -> None:
+    """By the format's own reader."""
+    (file,) = sound.glob("*.mcap")
+    with file.open("rb") as stream:
+        reader = NonSeekingReader(stream, validate_crcs=True)
+        assert sum(1 for _ in reader.iter_messages(log_time_order=False)) == 5 * 301 + 1
+    with file.open("rb") as stream:
+        records = list(StreamReader(stream, emit_chunks=True, validate_crcs=True).records)
+    chunks = [record for record in records if isinstance(record, records_of_mcap.Chunk)]
+    assert len(chunks) == 5
+    assert all(chunk.uncompressed_crc for chunk in chunks)
+    (end,) = (record for record in records if isinstance(record, records_of_mcap.DataEnd))
+    (footer,) = (record for record in records if isinstance(record, records_of_mcap.Footer))
+    assert end.data_section_crc != 0
+    data = file.read_bytes()
+    assert footer.summary_crc == zlib.crc32(data[footer.summary_start : -12])
+    assert read_bag(sound).checked
+    assert read_bag(sound).damage == ""
+
+
+def test_one_changed_byte_is_noticed_wherever_it_is(trace: Trace, sound: Path, tmp_path: Path) -> None:
+    """What is left is what was recorded; the ticks that are not are named."""
+    (file,) = sound.glob("*.mcap")
+    size = file.stat().st_size
+    with file.open("rb") as stream:
+        records = list(StreamReader(stream, emit_chunks=True).records)
+    (summary,) = (record.summary_start for record in records if isinstance(record, records_of_mcap.Footer))
+    index = [
+        record.chunk_start_offset for record in records if isinstance(record, records_of_mcap.ChunkIndex)
+    ]
+    frames = [start + at for start in index for at in (0, 1, 4, 9, 20, 33, 40, 60)]
+    ends = [0, 3, 10, summary - 13, summary - 4, summary, size - 37, size - 20, size - 8, size - 1]
+    lost = 0
+    for place in [*random.Random(5).sample(range(size), 50), *frames, *ends]:
+        bag = read_bag(changed(sound, tmp_path, place))
+        assert bag.damage.startswith("the file is not what was recorded"), place
+        assert (bag.trace.status, bag.trace.detail) == ("damaged", bag.damage)
+        kept = (bag.trace.time_ns // 1_000_000).tolist()
+        for name, column in trace.columns.items():
+            assert np.array_equal(bag.trace.columns[name], column[kept]), (place, name)
+        gone = sorted(set(range(trace.ticks)) - set(kept))
+        assert bool(gone) == ("left out" in bag.damage)
+        if gone:
+            assert f"ticks {gone[0]} to {gone[-1]} are damaged or lost" in bag.damage
+            inside = gone[0] > 0 and gone[-1] < trace.ticks - 1
+            assert not inside or set(bag.missing.values()) == {len(gone)}
+        lost += bool(gone)
+    assert 30 < lost < 80
+
+
+def test_analyse_ends_with_an_error_for_a_damaged_bag_unless_it_is_accepted(
+    sound: Path, tmp_path: Path
+) -> None:
+    (file,) = sound.glob("*.mcap")
+    bag = changed(sound, tmp_path, file.stat().st_size // 2)
+    run = analyse(bag, "--output", tmp_path / "out")
+    assert run.returncode == 1
+    (warning,) = [line for line in run.stderr.splitlines() if "damaged: " in line]
+    assert warning.startswith("warning: ftcm: damaged: the file is not what was recorded: ticks ")
+    summary = json.loads((tmp_path / "out" / "summary.json").read_text())
+    assert summary["results"][0]["status"] == "damaged"
+    assert f"warning: ftcm: damaged: {summary['damage']['ftcm']}" == warning
+    assert "damaged: the file is not what was recorded" in (tmp_path / "out" / "table.md").read_text()
+    assert analyse(bag, "--accept-damage").returncode == 0
+
+
+def test_a_bag_without_checksums_says_so(trace: Trace, sound: Path, tmp_path: Path) -> None:
+    foreign_bag(tmp_path / "foreign", trace, {"joint_states"})
+    said = "the bag has no checksums: damage would not show"
+    assert said in analyse(tmp_path / "foreign").stderr
+    assert said not in analyse(sound).stderr

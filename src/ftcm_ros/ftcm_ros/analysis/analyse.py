@@ -40,6 +40,11 @@ def build_parser() -> argparse.ArgumentParser:
         metavar="FILE",
         help="load components that the runs used from a Python file or module; this runs its code",
     )
+    parser.add_argument(
+        "--accept-damage",
+        action="store_true",
+        help="exit status 0 for a bag that is not what was recorded; what is damaged is left out in any case",
+    )
     parser.add_argument("--json", action="store_true", help="print the results as one JSON object")
     return parser
 
@@ -71,6 +76,10 @@ def analyse(options: argparse.Namespace) -> int:
             print(f"warning: {label}: the bag holds {bag.runs} runs; this is the last one", file=sys.stderr)
         if bag.recovered:
             print(f"warning: {label}: bag was not closed; recovered: {bag.recovered}", file=sys.stderr)
+        if bag.damage:
+            print(f"warning: {label}: damaged: {bag.damage}", file=sys.stderr)
+        elif not bag.checked and not bag.recovered:
+            print(f"{label}: the bag has no checksums: damage would not show", file=sys.stderr)
         if bag.unusable:
             print(f"warning: {label}: messages that are no tick left out: {bag.unusable}", file=sys.stderr)
         if bag.missing:
@@ -84,6 +93,7 @@ def analyse(options: argparse.Namespace) -> int:
     results = [labelled(label, trace) for label, trace in traces]
     samples = [(label, hop_times(bag)) for (label, _), bag in zip(traces, bags)]
     extra = {
+        "damage": {label: bag.damage for (label, _), bag in zip(traces, bags)},
         "missing_ticks": {label: bag.missing for (label, _), bag in zip(traces, bags)},
         "timing_us": {label: percentiles(found) for label, found in samples},
         "nodes": {label: bag.nodes for (label, _), bag in zip(traces, bags)},
@@ -97,7 +107,7 @@ def analyse(options: argparse.Namespace) -> int:
         print(to_json({"results": results, **extra}, indent=1))
     else:
         print(report(results, timing).rstrip())
-    return 0
+    return 1 if any(bag.damage for bag in bags) and not options.accept_damage else 0
 
 
 def _repair(bags: list[BagContents], target: Path) -> None:

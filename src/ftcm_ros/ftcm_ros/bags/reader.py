@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 import yaml
-from rosbags.rosbag2 import Reader
+from rosbags.rosbag2 import Reader, ReaderError
 from rosbags.typesys import Stores, get_typestore
 
 from ftcm_core.errors import FtcmError, shown
@@ -20,7 +20,8 @@ from ftcm_core.recording.trace import ENDED_EARLY, Change, Trace
 from ftcm_core.registry import find, plugins
 from ftcm_core.scenario import Scenario, from_mapping, parse_yaml
 from ftcm_core.signals import NANOSECONDS, channels
-from ftcm_ros.bags.recovery import Message, scan
+from ftcm_ros.bags.checksums import verify
+from ftcm_ros.bags.recovery import Message, files_of, scan
 from ftcm_ros.transport.codec import JOINT_STATE, CodecError, JointStateCodec, read_joint_state
 from ftcm_ros.transport.topics import (
     CHANGES,
@@ -63,6 +64,10 @@ class BagContents:
     """Runs in the bag; the trace is the last one."""
     recovered: str = ""
     """Of a bag that was not closed: what could be read, in one line."""
+    damage: str = ""
+    """Of a closed bag that is not what it was: what has been left out, in one line."""
+    checked: bool = True
+    """Whether the bag has checksums, so that damage would show."""
 
 
 def read_bag(path: Path, scenario: Scenario | None = None) -> BagContents:
@@ -75,8 +80,9 @@ def read_bag(path: Path, scenario: Scenario | None = None) -> BagContents:
     Raises:
         FtcmError: there is no bag, it cannot be read, or it has not the topics; in one line.
     """
-    raw, published, damage = _read_messages(path)
-    metadata = {} if damage else _custom_data(path)
+    verdict = _verdict(path)
+    raw, published, damage = _read_messages(path, damaged=verdict == "damaged")
+    metadata = {} if damage and verdict != "damaged" else _custom_data(path)
     others = {name: raw.pop(name, []) for name in (CHANGES.name, SCENARIO.name, DIAGNOSTICS.name.lstrip("/"))}
     if not raw.get(JOINT_STATES.name):
         if damage:
@@ -108,7 +114,7 @@ def read_bag(path: Path, scenario: Scenario | None = None) -> BagContents:
         )
     runs = _keep_last_run(decoded, published)
     recovered = metadata.get("recovered", "")
-    if damage:
+    if damage and verdict != "damaged":
         recovered = _cut_ragged_end(decoded, published, scenario)
     stamps = np.unique(np.concatenate([times for times, _ in decoded.values()]))
     dt_ns = scenario.dt_ns if scenario else int(np.median(np.diff(stamps))) if len(stamps) > 1 else 1_000_000
@@ -127,13 +133,54 @@ def read_bag(path: Path, scenario: Scenario | None = None) -> BagContents:
     if scenario is not None:
         scenario, changes = _initial_components(scenario, changes, int(stamps[0]) // dt_ns)
     status, detail, ended_at = _status(scenario, nodes.get("plant", {}), int(stamps[-1]), dt_ns)
+    harm = ""
+    if verdict == "damaged":
+        harm = _harm(decoded, scenario, stamps, dt_ns)
+        status, detail = "damaged", harm
     stamps_of = {name: times for name, (times, _) in decoded.items()}
     trace = Trace(
         joint_names=names, dt=dt_ns / 1e9, time_ns=stamps, **columns,
         scenario=scenario, status=status, detail=detail, ended_at=ended_at, changes=tuple(changes),
         engine="graph",
     )  # fmt: skip
-    return BagContents(path, trace, missing, nodes, metadata, published, stamps_of, unusable, runs, recovered)
+    return BagContents(
+        path, trace, missing, nodes, metadata, published, stamps_of, unusable, runs, recovered, harm,
+        verdict == "whole",
+    )  # fmt: skip
+
+
+def _verdict(path: Path) -> str:
+    """Compare a closed bag with its checksums; ``unchecked`` where that is not possible.
+
+    Raises:
+        FtcmError: it cannot be read.
+    """
+    if not (path / "metadata.yaml").is_file():
+        return "unchecked"
+    try:
+        found = {verify(file) if file.suffix == ".mcap" else "unchecked" for file in files_of(path)}
+    except OSError as error:
+        raise FtcmError(f"bag {str(path)!r} cannot be read: {error.strerror or error}") from None
+    return "damaged" if "damaged" in found else "whole" if found == {"whole"} else "unchecked"
+
+
+def _harm(
+    decoded: dict[str, Decoded], scenario: Scenario | None, stamps: npt.NDArray[np.int64], dt_ns: int
+) -> str:
+    """Say which ticks a damaged bag lacks on a data topic."""
+    end = scenario.last_tick if scenario else int(stamps[-1]) // dt_ns
+    whole = np.ones(end + 1, dtype=np.bool_)
+    for topic in data_topics(scenario):
+        here = np.zeros(end + 1, dtype=np.bool_)
+        if topic.name in decoded:
+            here[decoded[topic.name][0] // dt_ns] = True
+        whole &= here
+    edges = np.flatnonzero(np.diff(np.concatenate([[1], whole, [1]]).astype(np.int8)))
+    ranges = [f"{a} to {b - 1}" for a, b in edges.reshape(-1, 2).tolist()]
+    if not ranges:
+        return "the file is not what was recorded, but every message is there and whole"
+    shown = ", ".join(ranges[:5]) + (f" and {len(ranges) - 5} more" if len(ranges) > 5 else "")
+    return f"the file is not what was recorded: ticks {shown} are damaged or lost, and left out"
 
 
 def _recorded_scenario(path: Path, text: str) -> Scenario:
@@ -179,12 +226,16 @@ def _columns(
     return columns
 
 
-def _read_messages(path: Path) -> tuple[dict[str, list[bytes]], dict[str, npt.NDArray[np.int64]], str]:
+def _read_messages(
+    path: Path, *, damaged: bool
+) -> tuple[dict[str, list[bytes]], dict[str, npt.NDArray[np.int64]], str]:
     """Return messages and times per topic, and what was wrong with a bag that had to be scanned."""
     if not path.exists():
         raise FtcmError(f"no bag {str(path)!r}; expected the folder of a rosbag2 bag")
-    damage = ""
+    damage = "its checksums do not fit" if damaged else ""
     try:
+        if damaged:
+            raise ReaderError(damage)
         with Reader(path) as reader:
             wanted = [c for c in reader.connections if _name(c) in _WANTED]
             raw, times = _by_topic(reader.messages(wanted) if wanted else ())

@@ -12,13 +12,15 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any, NamedTuple
 
-from mcap.exceptions import EndOfFile
+from mcap.exceptions import EndOfFile, McapError
+from mcap.reader import SeekingReader, Summary
 from mcap.records import Channel, Chunk, DataEnd, McapRecord, Schema
 from mcap.records import Message as McapMessage
 from mcap.stream_reader import StreamReader, get_chunk_data_stream
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
 from ftcm_core.errors import FtcmError
+from ftcm_ros.bags.checksums import MAGIC, verify_summary
 from ftcm_ros.bags.rosbags_internals import Sqlite3Reader, parse_qos
 from ftcm_ros.bags.writer import new_bag, reason_of
 
@@ -38,7 +40,6 @@ Message = tuple[Origin, int, bytes]
 """Topic, time (ns) and serialized message."""
 
 _STORAGE = {".mcap": "mcap", ".db3": "sqlite3"}
-_MCAP_MAGIC = b"\x89MCAP0\r\n"
 
 
 def scan(path: Path) -> Iterator[Message]:
@@ -52,7 +53,7 @@ def scan(path: Path) -> Iterator[Message]:
     Raises:
         OSError: a file cannot be opened.
     """
-    for file in _files(path):
+    for file in files_of(path):
         yield from (_scan_mcap if file.suffix == ".mcap" else _scan_sqlite)(file)
 
 
@@ -70,7 +71,7 @@ def repair(path: Path, target: Path, note: str) -> int:
     typestore = get_typestore(Stores.ROS2_JAZZY)
     connections: dict[str, Any] = {}
     count = 0
-    writer = new_bag(target, _STORAGE[_files(path)[0].suffix])
+    writer = new_bag(target, _STORAGE[files_of(path)[0].suffix])
     try:
         for found, when, data in scan(path):
             if found.topic not in connections:
@@ -91,7 +92,8 @@ def repair(path: Path, target: Path, note: str) -> int:
     return count
 
 
-def _files(path: Path) -> list[Path]:
+def files_of(path: Path) -> list[Path]:
+    """Return the files of a bag that hold messages, in order."""
     if path.is_file():
         return [path]
     found = [f for f in path.iterdir() if f.suffix in _STORAGE and f.is_file()]
@@ -99,28 +101,57 @@ def _files(path: Path) -> list[Path]:
 
 
 def _scan_mcap(file: Path) -> Iterator[Message]:
-    """Yield the messages before the first record that is not whole; a chunk counts whole or not at all."""
+    """Yield the messages of every chunk that is whole, up to the first record that is cut off.
+
+    Where a record in the middle has lost its length, the summary at the end of the file says where the next
+    chunk is. It also has the topics, if the chunk that had them is damaged.
+    """
     schemas: dict[int, Schema] = {}
     origins: dict[int, Origin] = {}
+    later: list[int] = []
     size = file.stat().st_size
     with file.open("rb") as stream:
-        if stream.read(len(_MCAP_MAGIC)) != _MCAP_MAGIC:
-            return
-        try:
-            for record in _records(stream, size):
-                if isinstance(record, DataEnd):
+        if (summary := _summary(stream)) is not None:
+            schemas = dict(summary.schemas)
+            origins = {i: _origin(channel, schemas) for i, channel in summary.channels.items()}
+            later = sorted(index.chunk_start_offset for index in summary.chunk_indexes)
+        stream.seek(len(MAGIC))
+        records = _records(stream, size)
+        while True:
+            here = stream.tell()
+            try:
+                record = next(records, None)
+            except Exception:  # mcap has many errors for a record that is cut off or holds something else
+                later = [offset for offset in later if offset > here]
+                if not later:
                     return
-                messages = []
-                for part in _parts(record):
-                    if isinstance(part, Schema):
-                        schemas[part.id] = part
-                    elif isinstance(part, Channel):
-                        origins[part.id] = _origin(part, schemas)
-                    elif isinstance(part, McapMessage) and part.channel_id in origins:
-                        messages.append((origins[part.channel_id], part.log_time, part.data))
-                yield from messages
-        except Exception:  # mcap has many errors for a record that is cut off or holds something else
-            return
+                stream.seek(later[0])
+                records = _records(stream, size)
+                continue
+            if record is None or isinstance(record, DataEnd):
+                return
+            try:
+                parts = _parts(record)
+            except Exception:  # a damaged chunk: its checksum, or anything in it
+                continue
+            for part in parts:
+                if isinstance(part, Schema):
+                    schemas[part.id] = part
+                elif isinstance(part, Channel) and part.schema_id in schemas:
+                    origins[part.id] = _origin(part, schemas)
+                elif isinstance(part, McapMessage) and part.channel_id in origins:
+                    yield origins[part.channel_id], part.log_time, part.data
+
+
+def _summary(stream: BufferedReader) -> Summary | None:
+    """Return the summary at the end of a closed file; None if there is none that is known to be whole."""
+    if verify_summary(stream) != "whole":
+        return None
+    stream.seek(0)
+    try:
+        return SeekingReader(stream).get_summary()
+    except McapError:  # the magic at the beginning is damaged
+        return None
 
 
 def _records(stream: BufferedReader | BytesIO, size: int) -> Iterator[McapRecord]:
@@ -176,7 +207,8 @@ def _scan_sqlite(file: Path) -> Iterator[Message]:
             messages = reader.messages(reader.connections)
             while (message := _next(messages)) is not None:
                 connection, when, data = message
-                yield origins[connection.id], when, data
+                if isinstance(when, int) and data is not None:  # else the row is damaged
+                    yield origins[connection.id], when, data
         finally:
             reader.close()
 

@@ -6,8 +6,8 @@ rosbags promises none of this. Tests notice when a new version changes it; until
 
 * ``Writer.storage``: the storage that an open writer writes to.
 * of mcap's storage, ``chunk.bio`` (the chunk being filled, in memory), ``close_chunk()`` (writes it to the
-  file), ``bio`` (the file), and ``chunks``: the list of index records, one per chunk. rosbags only appends to
-  it, asks for its length and goes through it.
+  file), ``bio`` (the file, to which a record is written as opcode, length and content), and ``chunks``: the
+  list of index records, one per chunk. rosbags only appends to it, asks for its length and goes through it.
 * of sqlite3's storage, ``conn``: the connection to the database, with a transaction under way.
 * ``Sqlite3Reader``: ``open``, ``close``, ``connections`` and ``messages``, for a file without metadata.
 * ``parse_qos``: qualities of service from the text in a bag.
@@ -22,9 +22,17 @@ from rosbags.rosbag2 import Writer
 from rosbags.rosbag2.metadata import parse_qos
 from rosbags.rosbag2.storage_sqlite3 import Sqlite3Reader
 
+from ftcm_ros.bags.checksums import ChecksummedFile
 from ftcm_ros.bags.spool import Spool
 
-__all__ = ["Sqlite3Reader", "do_not_wait_for_the_disk", "flush", "keep_index_on_disk", "parse_qos"]
+__all__ = [
+    "Sqlite3Reader",
+    "add_checksums",
+    "do_not_wait_for_the_disk",
+    "flush",
+    "keep_index_on_disk",
+    "parse_qos",
+]
 
 
 def flush(writer: Writer) -> None:
@@ -41,6 +49,18 @@ def flush(writer: Writer) -> None:
         storage.bio.flush()
     elif hasattr(storage, "conn"):
         storage.conn.commit()
+
+
+def add_checksums(writer: Writer) -> None:
+    """Have an mcap file say what its chunks, its data and its summary were: rosbags leaves that out.
+
+    Args:
+        writer: of any storage, with nothing written to it yet.
+    """
+    storage: Any = writer.storage
+    if hasattr(storage, "close_chunk"):
+        storage.bio.flush()
+        storage.bio = ChecksummedFile(storage.bio, Path(storage.path).read_bytes())
 
 
 def keep_index_on_disk(writer: Writer, folder: Path) -> None:

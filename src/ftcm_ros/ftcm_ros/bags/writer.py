@@ -20,7 +20,7 @@ from rosbags.typesys import Stores, get_typestore
 from ftcm_core.errors import FtcmError
 from ftcm_core.recording.provenance import provenance
 from ftcm_core.scenario import Scenario
-from ftcm_ros.bags.rosbags_internals import do_not_wait_for_the_disk, flush, keep_index_on_disk
+from ftcm_ros.bags.rosbags_internals import add_checksums, do_not_wait_for_the_disk, flush, keep_index_on_disk
 from ftcm_ros.transport.codec import stamp_of
 from ftcm_ros.transport.topics import SCENARIO, Topic, data_topics, recorded_topics
 
@@ -78,6 +78,7 @@ def new_bag(path: Path, storage: str) -> Writer:
     try:
         writer = Writer(path, version=9, storage_plugin=STORAGE[storage])
         writer.open()
+        add_checksums(writer)
     except WriterError as error:  # somebody else has made it just now: it is theirs
         raise FtcmError(f"bag {str(path)!r} cannot be made: {error}") from None
     except (OSError, sqlite3.Error) as error:

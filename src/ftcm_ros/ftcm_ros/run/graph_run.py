@@ -37,6 +37,8 @@ STOP_SECONDS = 3.0
 """How long nodes may take to end their part of a run, s."""
 CLOSE_SECONDS = 15.0
 """How long the recorder may take to close the bag, s."""
+REPORT_SECONDS = 1.0
+"""How long the nodes' last reports may take to come, s."""
 MATCHING_ORDER = ("observer", "controller", "injector", "plant", "detector", "recorder")
 """Order of configuration: that of the tick, so that each message reaches first who acts on it next."""
 RECORDER_WINDOW = 1000
@@ -109,6 +111,7 @@ class Run:
                 self.timing["run_seconds"] = round(time.monotonic() - began, 3)
                 self._close_bag()
             self._deactivate(tuple(n for n in CHAIN if n in self.nodes), STOP_SECONDS)
+            self._hear_last_reports()
         finally:
             codes = self.processes.stop()
             node.destroy_node()
@@ -227,6 +230,12 @@ class Run:
         self.processes.resume()
         self._deactivate(("plant",), STOP_SECONDS)
         self._deactivate(("recorder",), CLOSE_SECONDS)
+
+    def _hear_last_reports(self) -> None:
+        """Take in what the nodes say of the whole run, which they do when it ends."""
+        end = time.monotonic() + REPORT_SECONDS
+        while time.monotonic() < end and not all("waited_seconds" in h for h in self.health.values()):
+            rclpy.spin_once(self.node, timeout_sec=0.05)
 
     def _deactivate(self, names: tuple[str, ...], seconds: float) -> None:
         """Let nodes end their run and say how it was, as far as they still can."""

@@ -32,6 +32,8 @@ def read_bags(runs: list[Run]) -> tuple[list[tuple[str, BagContents]], list[str]
         found.append((run.label, bag))
         if bag.recovered:
             say(f"warning: {run.label}: bag was not closed; recovered: {bag.recovered}")
+        if bag.damage:
+            unreadable.append(f"{run.label}: {bag.damage}")
         if bag.unusable:
             say(f"warning: {run.label}: messages that are no tick left out: {bag.unusable}")
         if bag.missing:
