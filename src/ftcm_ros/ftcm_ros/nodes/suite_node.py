@@ -73,7 +73,9 @@ class SuiteNode(LifecycleNode):
         self.codec = JointStateCodec(self.scenario.robot.joint_names)
         path = self.setting("data_path")
         self.plane = (
-            ComposedPlane(self, name, composition) if composition else make_plane(self, path, self.gathers)
+            ComposedPlane(self, name, self.scenario, composition)
+            if composition
+            else make_plane(self, path, self.gathers)
         )
         self.stages: str = self.setting("stages") if name != "recorder" else ""
         """``plain`` or ``compiled``."""

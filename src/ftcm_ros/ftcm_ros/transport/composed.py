@@ -19,10 +19,11 @@ from typing import Any, NamedTuple
 from rclpy.node import Node
 
 from ftcm_core.errors import FtcmError
+from ftcm_core.scenario import Scenario
 from ftcm_ros.transport.codec import JointSample, Layout
 from ftcm_ros.transport.listener import ListenerPlane
 from ftcm_ros.transport.plane import Sender, Take, Taken
-from ftcm_ros.transport.topics import Topic
+from ftcm_ros.transport.topics import Topic, subscribers
 
 BUSY_SECONDS = 0.02
 """How long the middleware's receiving thread waits for its turn; then it leaves a message to the main thread.
@@ -36,6 +37,8 @@ class _Outlet(NamedTuple):
 
     node: str
     topic: Topic
+    readers: tuple[str, ...]
+    """Nodes of the run that answer it."""
     layout: Layout
     publish: Callable[[bytes], None]
 
@@ -91,7 +94,7 @@ class Composition:
         Raises:
             Exception: what a reader has raised. What was sent before has been published.
         """
-        if all(name in self.names or name == "recorder" for name in outlet.topic.subscribers):
+        if all(name in self.names for name in outlet.readers):
             self._unpublished.append((outlet, sample))
         else:
             outlet.out(sample)
@@ -118,17 +121,19 @@ class ComposedPlane(ListenerPlane):
 
     hands_over = True
 
-    def __init__(self, node: Node, name: str, composition: Composition) -> None:
+    def __init__(self, node: Node, name: str, scenario: Scenario, composition: Composition) -> None:
         """Begin without any topic.
 
         Args:
             node: whose topics these are.
             name: its name in the suite.
+            scenario: the run.
             composition: what it shares with the other nodes of this process.
         """
         super().__init__(node)
         self.turn = composition.turn
         self._name = name
+        self._scenario = scenario
         self._composition = composition
         self._local: list[Topic] = []
         composition.names.append(name)
@@ -142,7 +147,8 @@ class ComposedPlane(ListenerPlane):
 
     def sender(self, topic: Topic, layout: Layout) -> Sender:
         """Return how messages of a data topic are handed over and published."""
-        outlet = _Outlet(self._name, topic, layout, self.publisher(topic))
+        readers = tuple(name for name in subscribers(topic, self._scenario) if name != "recorder")
+        outlet = _Outlet(self._name, topic, readers, layout, self.publisher(topic))
         send = self._composition.send
         return Sender(layout.sample, lambda sample: send(outlet, sample))
 
