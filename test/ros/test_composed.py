@@ -10,6 +10,7 @@ from __future__ import annotations
 import signal
 import subprocess
 from collections.abc import Callable
+from pathlib import Path
 from typing import Any
 
 import pytest
@@ -21,6 +22,7 @@ from lifecycle_msgs.msg import State, Transition
 from lifecycle_msgs.srv import ChangeState, GetState
 from sensor_msgs.msg import JointState
 
+from ftcm_core.scenario import load
 from ftcm_ros.parameters.node_parameters import NODES
 from ftcm_ros.transport.codec import JointSample, JointStateCodec
 from ftcm_ros.transport.composed import Composition, _Outlet
@@ -168,6 +170,23 @@ def test_composed_nodes_are_nodes_with_their_own_topics_parameters_lifecycle_and
     out, err = process.communicate(timeout=30)
     assert process.returncode == 0, err
     assert "Traceback" not in out + err
+
+
+@pytest.mark.ros
+def test_ticks_that_never_wait_leave_time_for_services(
+    start: Start, watcher: Any, health: dict[str, dict[str, str]], tmp_path: Path
+) -> None:
+    """In lockstep without a recorder, where the plant waits for nobody."""
+    (tmp_path / "long.yaml").write_text(load("paper", ["duration=4000"]).to_yaml(), encoding="utf-8")
+    process = start(
+        "nodes.composed", "--ros-args", "-p", "plant:mode:=lockstep", "-p", "scenario:=long.yaml"
+    )  # fmt: skip
+    watcher.spin_until(lambda: int(health.get("plant", {}).get("ticks", 0)) > 1000, "ticks")
+    end = ChangeState.Request(transition=Transition(id=Transition.TRANSITION_DEACTIVATE))
+    assert watcher.call(ChangeState, "/plant/change_state", end).success
+    watcher.spin_until(lambda: health["plant"]["state"] == "incomplete", "the end of the run")
+    process.send_signal(signal.SIGINT)
+    assert process.wait(30) == 0
 
 
 @pytest.mark.ros

@@ -186,6 +186,12 @@ class ComposedPlane(ListenerPlane):
         else:
             super().poll(timeout_ns, trigger)
 
+    def wake(self) -> None:
+        """End the wait of :meth:`poll`; a main thread that is at work looks by itself what there is to do."""
+        if self.turn.acquire(timeout=BUSY_SECONDS):
+            self.turn.notify()
+            self.turn.release()
+
     def _fail(self, error: Exception) -> None:
         composition = self._composition
         if composition.failure is None:
