@@ -405,8 +405,8 @@ class TestNumba:
     def test_a_second_process_finds_the_code_compiled(self):
         _, loop = started()
         _, text = program.write(loop)
-        program._compiled(text)
-        ticks, _ = program._compiled(text)
+        program.compiled(text, "ticks", "accelerations")
+        ticks, _ = program.compiled(text, "ticks", "accelerations")
         assert sum(ticks.stats.cache_hits.values()) == 1
         assert not ticks.stats.cache_misses
 

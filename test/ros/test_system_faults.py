@@ -163,7 +163,9 @@ def test_a_fault_ends_its_run_only(
     seed = random.randrange(10**6)
     print(f"seed {seed}")
     draw = random.Random(seed)
-    ticks = {f.controller: draw.randint(1, LAST_TICK) for f in faults}
+    # A recorder that is killed before it has brought anything to the file leaves nothing to be read.
+    first = {f.controller: 500 if (f.node, f.kind) == ("recorder", "SIGKILL") else 1 for f in faults}
+    ticks = {f.controller: draw.randint(first[f.controller], LAST_TICK) for f in faults}
     (tmp_path / "hook").mkdir()
     (tmp_path / "hook" / "sitecustomize.py").write_text(INJECT)
     monkeypatch.setenv("PYTHONPATH", f"{tmp_path / 'hook'}{os.pathsep}{os.environ.get('PYTHONPATH', '')}")

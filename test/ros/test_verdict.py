@@ -34,6 +34,11 @@ def test_processes_are_told_to_be_composed_and_the_causes_are_in_order() -> None
     )
 
 
+def test_a_run_that_ended_before_the_others_had_reported() -> None:
+    early = nodes(4, missed_deadlines="3", late_torque="3", elapsed_seconds="0.0", tick="5")
+    assert "3 of 6 deadlines missed (50 %)" in verdict({"plant": early["plant"]}, 0.001, 0, 2)
+
+
 def test_composed_nodes_that_come_late_themselves() -> None:
     said = verdict(nodes(1, missed_deadlines="1", plant_overrun="1"), 0.001, 50, 2)
     assert "1 of 10,000 deadlines missed (0.01 %): 1 × the plant itself came more than a tick late. " in said

@@ -384,7 +384,7 @@ def compiled(text: str, *functions: str) -> list[Callable[..., int]]:
             names: dict[str, Any] = {"__name__": name}
             exec(compile(text, f"<{name}>", "exec"), names)
             return [names[function] for function in functions]
-        module = _imported(folder / f"{functions[0]}_{digest}.py", name, text)
+        module = _imported(folder / f"tick_{digest}.py", name, text)
         return [getattr(module, function) for function in functions]
     except numba.core.errors.NumbaError as error:
         raise NotCompilable(f"numba: {str(error).splitlines()[0]}") from None

@@ -184,7 +184,7 @@ def _harm(
 
 
 def _recorded_scenario(path: Path, text: str) -> Scenario:
-    data = parse_yaml(text, str(path))[0]
+    data = parse_yaml(text, f"bag {str(path)!r}: recorded scenario")[0]
     try:
         return from_mapping(data, origin=f"{path}: recorded scenario")
     except FtcmError as error:

@@ -35,13 +35,13 @@ def verdict(nodes: Mapping[str, Mapping[str, str]], dt: float, priority: int, pr
         return f"real time at {rate}: none of {ticks:,} deadlines missed"
     causes = sorted(((int(plant[cause]), cause) for cause in _REASONS), reverse=True)
     because = ", ".join(f"{count:,} × {_REASONS[cause]}" for count, cause in causes if count)
-    seconds = float(plant["elapsed_seconds"])
+    seconds = max(float(plant["elapsed_seconds"]), dt)
     busy, waited = (sum(by_process(nodes, key).values()) for key in ("cpu_seconds", "waited_seconds"))
     work = float(plant.get("latency_p50_us", 0.0)) * 1e-6
     advice = []
     if work > BUSY_SHARE * dt:
         advice.append(f"a tick's work takes {1e3 * work:.2g} ms of {1e3 * dt:g}: a longer dt")
-    if len({nodes[node].get("process", node) for node in ("plant", "observer", "controller")}) > 1:
+    if len({values.get("process", name) for name, values in nodes.items() if name != "recorder"}) > 1:
         advice.append("composed nodes (--composed)")
     if not priority:
         advice.append("real-time scheduling (--priority 50 --lock-memory)")
