@@ -3,9 +3,11 @@
 
 from __future__ import annotations
 
+import contextlib
 import ctypes
 import os
 import signal
+from collections.abc import Iterator
 
 PARENT_VARIABLE = "FTCM_PARENT_PID"
 """Environment variable that tells a node whose child it is."""
@@ -13,9 +15,14 @@ _PR_SET_PDEATHSIG = 1
 _SIGNALS = {signal.SIGINT, signal.SIGTERM}
 
 
-def hold_signals() -> None:
-    """Have what asks this process to end wait for :func:`take_signals`: no import is interrupted by it."""
-    signal.pthread_sigmask(signal.SIG_BLOCK, _SIGNALS)
+@contextlib.contextmanager
+def holding_signals() -> Iterator[None]:
+    """Processes started meanwhile hold back what asks them to end, until they call :func:`take_signals`."""
+    before = signal.pthread_sigmask(signal.SIG_BLOCK, _SIGNALS)
+    try:
+        yield
+    finally:
+        signal.pthread_sigmask(signal.SIG_SETMASK, before)
 
 
 def take_signals() -> None:

@@ -15,7 +15,7 @@ from typing import Any
 import psutil
 
 from ftcm_core.errors import FtcmError
-from ftcm_ros.nodes.parent import PARENT_VARIABLE, hold_signals
+from ftcm_ros.nodes.parent import PARENT_VARIABLE, holding_signals
 from ftcm_ros.run.external_nodes import write_parameters
 from ftcm_ros.transport.network import enclave
 
@@ -72,10 +72,10 @@ class LocalNodes:
             command += ["--params-file", str(self.folder / f"{node}.yaml")]
         command += enclave(process)
         self._nodes[process] = nodes
-        with (self.folder / f"{process}.log").open("wb") as log:
+        with (self.folder / f"{process}.log").open("wb") as log, holding_signals():
             self.processes[process] = subprocess.Popen(
                 command, env=self.environment, stdin=subprocess.DEVNULL, stdout=log, stderr=subprocess.STDOUT,
-                start_new_session=True, pass_fds=self.files, preexec_fn=hold_signals,
+                start_new_session=True, pass_fds=self.files,
             )  # fmt: skip
 
     def _process_of(self, node: str) -> str:
