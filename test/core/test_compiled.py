@@ -226,6 +226,7 @@ class Counting(FeedbackLaw):
         return root(n) if self.function == "root" else quotient(n)
 
 
+@pytest.mark.slow
 class TestNumba:
     @pytest.fixture(autouse=True)
     def _numba(self):

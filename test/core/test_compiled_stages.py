@@ -23,6 +23,8 @@ from ftcm_core.signals import Measurement, TrueDisturbance
 from ftcm_core.simulation import Loop
 from plugins import registry_kept
 
+pytestmark = pytest.mark.slow
+
 KINDS = ("plant", "observer", "controller", "injector", "detector")
 EVERYTHING: dict[str, Any] = {
     "robot": {"type": "puma560", "payload_mass": 0.5},
