@@ -11,6 +11,7 @@ import pytest
 
 pytest.importorskip("rclpy", reason="ROS 2 (rclpy) is not installed")
 
+from everything import EVERYTHING
 from ftcm_core import compiled
 from ftcm_core.scenario import Scenario, from_mapping, load
 from ftcm_core.scenario.definition import replace
@@ -29,22 +30,7 @@ FAULTS: list[dict[str, Any]] = [
     {"type": "payload_pickup", "start": 0.5, "mass": 1.0},
     *({"type": "dropped_messages", "start": 0.1, "topic": t, "probability": 0.05} for t in DROPPED),
 ]
-EVERYTHING = {
-    "name": "everything",
-    "robot": {"type": "puma560", "payload_mass": 0.5},
-    "model": {"mass": "-10 %"},
-    "reference": "vo_kang_cosine",
-    "controller": "ftcm",
-    "observer": "do",
-    "detector": {"type": "residual_threshold", "threshold": 15.0},
-    "sensor": {"type": "encoder", "noise": 1e-5},
-    "injection": {"disturbances": ["vo_kang_friction"], "faults": FAULTS},
-    "torque_delay": 1,
-    "torque_limits": [97.6, 186.4, 89.4],
-    "duration": 0.8,
-    "transient": 0.1,
-    "seed": 3,
-}
+FAULTY = {**EVERYTHING, "injection": {"disturbances": ["vo_kang_friction"], "faults": FAULTS}}
 
 
 def over_the_graph(experiment: Callable[..., Any], folder: Path, scenario: Scenario, *arguments: str) -> Any:
@@ -60,7 +46,7 @@ def over_the_graph(experiment: Callable[..., Any], folder: Path, scenario: Scena
 
 @pytest.mark.parametrize("nodes", ["--composed", "--no-composed"])
 def test_a_fault_of_every_site_at_once(experiment: Callable[..., Any], tmp_path: Path, nodes: str) -> None:
-    scenario = from_mapping(EVERYTHING)
+    scenario = from_mapping(FAULTY)
     assert {fault.site for fault in scenario.faults} == {"actuator", "sensor", "dynamics", "communication"}
     bag = over_the_graph(experiment, tmp_path, scenario, nodes)
     expected = simulate(scenario)
@@ -79,7 +65,7 @@ def test_compiled_stages_give_the_compiled_run(
     experiment: Callable[..., Any], tmp_path: Path, nodes: str
 ) -> None:
     pytest.importorskip("numba")
-    scenario = from_mapping(EVERYTHING)
+    scenario = from_mapping(FAULTY)
     bag = over_the_graph(experiment, tmp_path, scenario, nodes, "--stages", "compiled")
     assert {bag.nodes[n]["stages"] for n in bag.nodes if n != "recorder"} == {"compiled"}
     assert same(bag.trace, compiled.simulate(scenario))
@@ -93,7 +79,7 @@ def test_a_fault_by_itself(
 ) -> None:
     """With an ideal sensor and no detector, so that what the fault itself needs is not there by others."""
     scenario = from_mapping(
-        {**EVERYTHING, "detector": None, "sensor": None, "injection": {"faults": [fault]}, "torque_delay": 0}
+        {**FAULTY, "detector": None, "sensor": None, "injection": {"faults": [fault]}, "torque_delay": 0}
     )
     bag = over_the_graph(experiment, tmp_path, scenario, nodes)
     assert ("joint_torque" in bag.trace.columns) == (fault["type"] != "payload_pickup")

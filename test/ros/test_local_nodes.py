@@ -29,7 +29,7 @@ def test_nodes_ended_while_they_start_say_nothing(domain: int, tmp_path: Path, d
     """As when another node could not start."""
     nodes = LocalNodes(tmp_path, {})
     nodes.start({name: {"autostart": False} for name in NODES})
-    time.sleep(delay)  # by then they import
+    time.sleep(delay)  # the parameter: when they are told; an import has no event to wait for
     codes = nodes.stop()
     assert {name: code for name, code in codes.items() if code not in (0, 130)} == {}
     assert {name: (tmp_path / f"{name}.log").read_text() for name in NODES} == dict.fromkeys(NODES, "")

@@ -192,16 +192,16 @@ def _blocks(tracer: Tracer) -> Iterator[str]:
 
 
 def _tick(tracer: Tracer, loop: Loop, state: tuple[Any, ...]) -> list[str]:
-    run = Holder(tracer, loop, ())
+    run: Any = Holder(tracer, loop, ())
     symbols = with_numbers(state, (Symbol(tracer, f"s{i}") for i in range(10**9)))
-    put_state(run, symbols)  # type: ignore[arg-type]
+    put_state(run, symbols)
     run.plant.changes = ()  # the ticks in which the robot changes are not run by the source
     time_ns = Symbol(tracer, "time_ns")
     row, u, d = run.act(time_ns)
     run.plant.step(time_ns, u, d)
     return [
         *(f"rows[k, {i}] = {literal(x)}" for i, x in enumerate(row)),
-        *following(state, state_of(run)),  # type: ignore[arg-type]
+        *following(state, state_of(run)),
         "k += 1",
     ]
 
