@@ -28,7 +28,8 @@ one = min(os.sched_getaffinity(0))
 start()
 lines = scheduling.apply(1, False, str(one))
 start()
-print(lines, policies() == {os.SCHED_FIFO}, all(os.sched_getaffinity(thread) == {one} for thread in threads()))
+affinities = [os.sched_getaffinity(thread) == {one} for thread in threads()]
+print(lines, policies() == {os.SCHED_FIFO}, all(affinities))
 scheduling.release()
 print(policies() == {os.SCHED_OTHER})
 """

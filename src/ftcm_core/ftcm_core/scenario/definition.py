@@ -214,8 +214,8 @@ class Scenario(Parameterised):
 
     @property
     def first_fault(self) -> float | None:
-        """Earliest onset of a fault, s; None without faults."""
-        return min((f.start for f in self.faults), default=None)
+        """Earliest onset of a fault that acts by time, s; None without one."""
+        return min((f.start for f in self.faults if f.trigger == "time"), default=None)
 
     @property
     def hidden(self) -> bool:

@@ -20,8 +20,8 @@ _PR_SET_TIMERSLACK = 29
 def apply(priority: int, lock_memory: bool, processors: str) -> list[str]:
     """Apply what is asked for to every thread of this process; those started later inherit it.
 
-    The threads of the middleware are there before: with them left out, the thread that receives a message would
-    wait for the processor behind threads that have nothing to do with the tick.
+    The threads of the middleware are there before: with them left out, the thread that receives a message
+    would wait for the processor behind threads that have nothing to do with the tick.
 
     Args:
         priority: SCHED_FIFO priority 1 to 99; 0 leaves ordinary scheduling.
@@ -50,7 +50,8 @@ def apply(priority: int, lock_memory: bool, processors: str) -> list[str]:
         raise FtcmError(f"priority: {priority} is out of range; expected 0 (ordinary) to 99")
     if priority:
         try:
-            _each_thread(lambda thread: os.sched_setscheduler(thread, os.SCHED_FIFO, os.sched_param(priority)))
+            first = os.sched_param(priority)
+            _each_thread(lambda thread: os.sched_setscheduler(thread, os.SCHED_FIFO, first))
         except PermissionError:
             refused.append(
                 f"priority {priority} is not permitted; ordinary scheduling is used. Allow it with rtprio in "
