@@ -77,7 +77,7 @@ def test_file_is_read_with_defaults(tmp_path: Path) -> None:
     assert (scenario.name, scenario.dt, scenario.duration, scenario.seed) == ("mine", 0.001, 1.0, 0)
     assert scenario.controller == FTCM()
     assert scenario.observer.values == {"k1": 20000.0, "k2": 200.0}
-    assert (scenario.limits, scenario.first_fault, scenario.transient) == (Limits(), 10.0, 1.0)
+    assert (scenario.limits, scenario.transient) == (Limits(), 1.0)
     assert (scenario.dt_ns, scenario.last_tick) == (1_000_000, 1000)
 
 

@@ -151,6 +151,11 @@ class Fault(Component):
         del joints
         return ()
 
+    def planned(self) -> tuple[float, float]:
+        """Onset and end, s, as far as they are known before the run."""
+        onset = self.start if self.trigger == "time" else NEVER
+        return onset, min(NEVER, onset + self.duration) if self.lifetime == "timed" else NEVER
+
     @property
     def by_hand(self) -> bool:
         """Whether it can be armed or cleared while a run is on."""

@@ -213,9 +213,14 @@ class Scenario(Parameterised):
         )
 
     @property
-    def first_fault(self) -> float | None:
-        """Earliest onset of a fault that acts by time, s; None without one."""
-        return min((f.start for f in self.faults if f.trigger == "time"), default=None)
+    def fault_labels(self) -> tuple[str, ...]:
+        """Name of each fault: its type and its number among those of that type, from 0."""
+        count: dict[str, int] = {}
+        labels = []
+        for fault in self.faults:
+            n = count[fault.type_name] = count.get(fault.type_name, -1) + 1
+            labels.append(f"{fault.type_name}_{n}")
+        return tuple(labels)
 
     @property
     def hidden(self) -> bool:

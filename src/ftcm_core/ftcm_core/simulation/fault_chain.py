@@ -57,8 +57,8 @@ class FaultChain(Generic[F]):
         """Return from when to when each fault acts, as known so far, by its place in the scenario's list."""
         found = {}
         for number, fault, state in zip(self.numbers, self.faults, states):
-            end = min(state.end, state.onset + fault.duration) if fault.lifetime == "timed" else state.end
-            found[number] = Phase(state.onset, end)
+            lasts = fault.duration if fault.lifetime == "timed" else NEVER
+            found[number] = Phase(state.onset, min(NEVER, state.end, state.onset + lasts))
         return found
 
     def ordered(self, states: States, number: int, action: str, t: float) -> States:
