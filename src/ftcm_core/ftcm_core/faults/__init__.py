@@ -93,6 +93,11 @@ class Fault(Component):
     rank: ClassVar[int] = 50
     """Where it acts among the faults of its site: the lowest first."""
 
+    @property
+    def stage(self) -> str:
+        """Stage of the tick in which it acts: ``plant``, ``injector`` or ``controller``."""
+        return "plant"
+
     start: float = param(
         10.0, unit="s", at_least=0.0,
         doc="onset T_f; the fault acts at t > T_f. A condition is not looked at up to this",
@@ -270,6 +275,11 @@ class AdditiveFault(JointFault):
     """A torque added to that of the drives, ψ(t - T_f) ω."""
 
     site: ClassVar[str] = "dynamics"
+
+    @property
+    def stage(self) -> str:
+        """The injector."""
+        return "injector"
 
     @abstractmethod
     def omega(self, robot: Robot, t: float, q: Vector, v: Vector, u: Vector) -> Vector:
@@ -460,6 +470,11 @@ class CommunicationFault(ProfiledFault):
         "joint_torques", unit="-", choices=TOPICS, doc="topic whose messages are disturbed",
         source="chosen: the command",
     )  # fmt: skip
+
+    @property
+    def stage(self) -> str:
+        """The one that reads the topic; of several readers of the measurement, the plant for all."""
+        return "controller" if self.topic == "disturbance_estimate" else "plant"
 
     def check(self) -> None:
         """The controller, which reads the estimate, does not know the true motion."""

@@ -204,8 +204,8 @@ def _mark_faults(ax: Axes, traces: Sequence[Trace]) -> None:
     for onset, labels in sorted(names.items()):
         ax.axvline(onset, color="0.35", linewidth=0.9, linestyle=(0, (2, 2)), zorder=2.5, label=_ONSET)
         ax.annotate(
-            ", ".join(labels), (onset, 1.0), xycoords=("data", "axes fraction"), xytext=(-1, -2),
-            textcoords="offset points", rotation=90, ha="right", va="top", fontsize=4.5, color="0.35",
+            ", ".join(labels), (onset, 1.0), xycoords=("data", "axes fraction"), xytext=(1, -2),
+            textcoords="offset points", rotation=90, ha="left", va="top", fontsize=4.5, color="0.35",
         )  # fmt: skip
 
 
