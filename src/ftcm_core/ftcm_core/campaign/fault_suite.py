@@ -12,6 +12,7 @@ import numpy as np
 
 from ftcm_core.errors import FtcmError, ScenarioError, suggestion
 from ftcm_core.faults import TOPICS, CommunicationFault, Fault, JointFault
+from ftcm_core.faults.tip_force import TipFault
 from ftcm_core.parallel import run_parallel
 from ftcm_core.params import specs
 from ftcm_core.recording.metrics import result
@@ -93,7 +94,7 @@ def faults_of(suite: Suite, base: Scenario) -> list[tuple[str, int, Fault]]:
     found: list[tuple[str, int, Fault]] = []
     for name in suite.faults or known:
         cls: Any = known[name]
-        if issubclass(cls, JointFault):
+        if issubclass(cls, JointFault) and not issubclass(cls, TipFault):
             made = [(name, j, cls(start=suite.onset, joint=j)) for j in suite.joints]
         elif issubclass(cls, CommunicationFault):
             made = [(f"{name} ({topic})", 0, cls(start=suite.onset, topic=topic)) for topic in TOPICS]

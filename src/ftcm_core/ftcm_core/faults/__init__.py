@@ -196,6 +196,14 @@ class Fault(Component):
             return f"trigger_joint: {self.trigger_joint} is out of range; expected 1 to {robot.joints}"
         return ""
 
+    def too_coarse(self, robot: Robot, dt: float) -> str:
+        """Return why ticks of dt (s) are too long for this fault on a robot that suits it; empty if not.
+
+        The text begins with the name of a parameter.
+        """
+        del robot, dt
+        return ""
+
 
 @dataclass(frozen=True, kw_only=True)
 class ProfiledFault(Fault):
@@ -249,6 +257,13 @@ class ProfiledFault(Fault):
         elif self.profile == "one_shot":
             psi = psi * one_shot(since, self.period)
         return psi * self.severity
+
+    def check_share(self) -> None:
+        """Of a fault that takes the place of something there cannot be more than all."""
+        if self.severity > 1.0:
+            raise ParameterError(
+                f"severity: {self.severity:g} is more than the whole of it; expected at most 1"
+            )
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -82,3 +82,15 @@ def tick_number(t: float, dt: float) -> float:
 def scaled(psi: float, x: float) -> float:
     """ψ x; zero for ψ = 0, whatever x is."""
     return 0.0 if psi == 0.0 else psi * x
+
+
+def shifted(psi: float, x: float, y: float) -> float:
+    """Sum x + ψ y; x bit for bit for ψ = 0."""
+    return x if psi == 0.0 else x + psi * y
+
+
+def mixed(psi: float, x: float, y: float) -> float:
+    """Mean (1 - ψ) x + ψ y; bit for bit x for ψ = 0, and y for ψ = 1."""
+    if psi == 0.0:
+        return x
+    return y if psi == 1.0 else (1.0 - psi) * x + psi * y

@@ -175,6 +175,14 @@ class Scenario(Parameterised):
                 needs = part.supports(joints) or ""
             if needs:
                 raise ParameterError(f"{place}: {needs}; robot {self.robot.type_name!r} has {joints} joints")
+            if isinstance(part, Fault) and (reason := part.too_coarse(self.robot, self.dt)):
+                raise ParameterError(f"{place}.{reason}")
+        robot = self.robot
+        for i, fault in sorted(enumerate(self.faults), key=lambda x: x[1].rank):
+            try:
+                robot = fault.changed(robot) if isinstance(fault, RobotFault) else robot
+            except ParameterError as error:
+                raise ParameterError(f"injection.faults.{i}: makes a robot that cannot be: {error}") from None
 
     def parts(self) -> list[tuple[str, Parameterised]]:
         """Return the parameter records inside this scenario with their paths."""
