@@ -172,11 +172,12 @@ def test_friction_is_added() -> None:
     assert trace.disturbance[FIRST:] == pytest.approx(-expected, rel=1e-12)
 
 
-positive = st.floats(0.0, 50.0)
+positive = st.floats(0.0, 50.0, allow_subnormal=False)  # below, numbers have too few digits for a ratio
+speeds = st.floats(-10.0, 10.0, allow_subnormal=False)
 
 
 @settings(deadline=None, max_examples=300)
-@given(st.floats(-10.0, 10.0), positive, positive, positive, st.floats(0.01, 1.0), st.floats(0.01, 1.0))
+@given(speeds, positive, positive, positive, st.floats(0.01, 1.0), st.floats(0.01, 1.0))
 def test_friction_takes_energy(v: float, b: float, c: float, s: float, width: float, slip: float) -> None:
     """Never gives any; odd, zero at rest, nowhere steeper than there."""
     f = stribeck_friction(v, b, c, s, width, slip)
