@@ -10,7 +10,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from double_integrator import run
+from double_integrator import DoubleIntegrator, run
 from ftcm_core.controllers.adrc import ADRC, extended_state
 from ftcm_core.controllers.backstepping import Backstepping
 from ftcm_core.controllers.ctc import CTC
@@ -74,6 +74,21 @@ def test_adrc_bears_an_input_gain_that_is_wrong(ratio: float, stable: bool) -> N
     moved = run(ADRC(b0=1.0), 20.0, 0.01, disturbance=lambda t: ratio, mass=1.0 / ratio)
     first, last = np.abs(moved.e[:1000]).max(), np.abs(moved.e[-1000:]).max()
     assert last < 1e-6 if stable else last > 10.0 * first
+
+
+def test_adrc_settles_in_the_time_that_it_is_tuned_for() -> None:
+    """Herbst (2013): ÿ + 2 ẏ + y = u, b0 = 1, ωc = 6/T, ωo = 10 ωc, T = 5 s to a band of 2 %."""
+    asked, dt, law = 5.0, 1e-3, ADRC(b0=1.0, omega_c=6.0 / 5.0, omega_o=60.0 / 5.0)
+    q, v, u, state, errors = 0.0, 0.0, 0.0, law.init(1), []
+    goal, model = ReferencePoint((1.0,), (0.0,), (0.0,)), DoubleIntegrator()
+    for _ in range(10_000):
+        y = Measurement((q,), (v,), (u,))
+        (u,), state = law.step(model, dt, y, goal, (0.0,), state, law.prepare(model, dt, y, goal, state))
+        errors.append(abs(q - 1.0))
+        a = u - 2.0 * v - q
+        q, v = q + dt * v + 0.5 * dt * dt * a, v + dt * a
+    settled = dt * np.flatnonzero(np.array(errors) > 0.02)[-1]
+    assert settled == pytest.approx(asked, rel=0.02)
 
 
 def test_adrc_sees_the_position_only_once_it_has_started() -> None:
