@@ -16,7 +16,7 @@ from double_integrator import run, variation
 from ftcm_core.controllers import Controller
 from ftcm_core.controllers.adaptive_super_twisting import AdaptiveSuperTwisting, adapted
 from ftcm_core.controllers.boundary_layer_smc import BoundaryLayerSMC
-from ftcm_core.controllers.continuous_tsmc import ContinuousTSMC, terminal_time, ultimate_bound
+from ftcm_core.controllers.continuous_tsmc import ContinuousTSMC, terminal_time
 from ftcm_core.controllers.ctc import CTC
 from ftcm_core.controllers.fixed_time_nftsmc import (
     FixedTimeNFTSMC,
@@ -170,33 +170,29 @@ def test_terminal_error_vanishes_in_finite_time(e0: float) -> None:
     assert np.abs(moved.e[moved.t > 1.1 * bound]).max() < 1e-5
 
 
+def largest_sigma(law: ContinuousTSMC, d: float) -> float:
+    """φ of k1 φ + k2 φ^½ = d, for ρ = ½: what a disturbance d leaves of σ, rad."""
+    assert law.rho == 0.5
+    return ((math.sqrt(law.k2 * law.k2 + 4.0 * law.k1 * d) - law.k2) / (2.0 * law.k1)) ** 2
+
+
 @every_disturbance
 def test_terminal_reaching_law_leaves_what_it_says(disturbance: Callable[[float], float]) -> None:
     """|σ| <= φ with k1 φ + k2 φ^ρ = D; where |e| > φ it falls, so |e| <= φ in the end, and β |ė|^γ <= 2 φ."""
     law = ContinuousTSMC()
     moved = run(law, 8.0, -0.5, disturbance=disturbance)
-    phi, late = ultimate_bound(10.0, law.k1, law.k2, law.rho), slice(-6000, None)
+    phi, late = largest_sigma(law, 10.0), slice(-6000, None)
     e, de = moved.e[late], moved.de[late]
     assert np.abs(e + law.beta * np.abs(de) ** law.gamma * np.sign(de)).max() <= phi
     assert np.abs(e).max() <= phi
     assert np.abs(de).max() <= (2.0 * phi / law.beta) ** (1.0 / law.gamma)
 
 
-@quick
-@given(st.floats(0.01, 1e3), st.floats(0.0, 1e3), st.floats(0.1, 1e3), st.floats(0.2, 0.9))
-def test_ultimate_bound_solves_its_equation(d: float, k1: float, k2: float, rho: float) -> None:
-    """Below both D/k1 and (D/k2)^(1/ρ), of which it is the combination."""
-    phi = ultimate_bound(d, k1, k2, rho)
-    assert k1 * phi + k2 * phi**rho == pytest.approx(d, rel=1e-12)
-    assert phi <= (d / k2) ** (1.0 / rho) * (1.0 + 1e-12)
-    assert phi * k1 <= d * (1.0 + 1e-12)
-
-
 def test_terminal_law_rejects_more_than_the_linear_one_of_the_same_stiffness() -> None:
     """A constant disturbance leaves e = φ; k1 alone would leave D/k1, ten times as much and more."""
     law = ContinuousTSMC(k1=100.0, k2=100.0)
     e = run(law, 8.0, 0.0, disturbance=lambda t: 2.0).e[-1]
-    assert e == pytest.approx(ultimate_bound(2.0, 100.0, 100.0, 0.5), rel=1e-3)
+    assert e == pytest.approx(largest_sigma(law, 2.0), rel=1e-3)
     assert e < 0.1 * 2.0 / 100.0
 
 

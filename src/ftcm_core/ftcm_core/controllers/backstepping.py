@@ -51,6 +51,6 @@ class Backstepping(AccelerationLaw):
 
     @staticmethod
     def law(p: Backstepping, e: float, de: float, dt: float, s: Vector) -> tuple[float, Vector]:
-        """-c1 ė - e - c2 z2 - d̂; then d̂ advances by forward Euler."""
+        """-c1 ė - e - c2 z - d̂; then d̂ advances by forward Euler."""
         z = de + p.c1 * e
         return -p.c1 * de - e - p.c2 * z - s[0], (s[0] + dt * p.gamma * z,)

@@ -16,9 +16,9 @@ from ftcm_core.signals import Vector
 class BoundaryLayerSMC(SMC):
     """SMC with a boundary layer: v = ẍ_r - c ė - (Σ + ξ) sat(σ/Φ), σ = ė + c e (Slotine and Sastry 1983).
 
-    A continuous torque, at the price of exactness: a disturbance of |d| <= D < Σ + ξ leaves |σ| <= Φ D/(Σ
-    + ξ) and |e| <= Φ D/(c (Σ + ξ)), and a constant one leaves just that. Inside the layer σ decays at the
-    rate (Σ + ξ)/Φ; held over ticks of dt this is stable for dt (Σ + ξ)/Φ < 2, and does not ring below 1.
+    A continuous torque, at the price of exactness: with K = Σ + ξ, a disturbance of |d| <= D < K leaves
+    |σ| <= Φ D/K and |e| <= Φ D/(c K), and a constant one leaves just that. Inside the layer σ decays at the
+    rate K/Φ; held over ticks of dt this is stable for dt K/Φ < 2, and does not ring below 1.
     """
 
     layer: float = param(

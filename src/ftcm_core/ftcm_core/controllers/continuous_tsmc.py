@@ -3,13 +3,22 @@
 
 from __future__ import annotations
 
-import math
-
 from ftcm_core.controllers import AccelerationLaw
 from ftcm_core.numeric import sig
 from ftcm_core.params import param
 from ftcm_core.registry import register
 from ftcm_core.signals import Vector
+
+
+def terminal_time(e0: float, beta: float, gamma: float) -> float:
+    """Time that ė = -(|e|/β)^(1/γ) sgn e takes from |e0| to zero, s.
+
+    Args:
+        e0: initial error, rad.
+        beta: β, rad·(s/rad)^γ.
+        gamma: γ above 1.
+    """
+    return float(beta ** (1.0 / gamma) * abs(e0) ** (1.0 - 1.0 / gamma)) * gamma / (gamma - 1.0)
 
 
 @register("controller", "continuous_tsmc")
@@ -80,31 +89,3 @@ class ContinuousTSMC(AccelerationLaw):
         """Time on σ = 0 from |e0| to zero: β^(1/γ) |e0|^(1-1/γ) γ/(γ-1), s."""
         p = self.for_joint(joint)
         return terminal_time(e0, p.beta, p.gamma)
-
-
-def terminal_time(e0: float, beta: float, gamma: float) -> float:
-    """Time that ė = -(|e|/β)^(1/γ) sgn e takes from |e0| to zero, s.
-
-    Args:
-        e0: initial error, rad.
-        beta: β, rad·(s/rad)^γ.
-        gamma: γ above 1.
-    """
-    return float(beta ** (1.0 / gamma) * abs(e0) ** (1.0 - 1.0 / gamma)) * gamma / (gamma - 1.0)
-
-
-def ultimate_bound(disturbance: float, k1: float, k2: float, rho: float) -> float:
-    """φ of k1 φ + k2 φ^ρ = D: what a disturbance |d| <= D leaves of σ, rad.
-
-    Args:
-        disturbance: D, rad/s².
-        k1: linear gain, 1/s².
-        k2: terminal gain > 0, rad^(1-ρ)/s².
-        rho: exponent ρ in (0, 1).
-    """
-    low, high = 0.0, float((disturbance / k2) ** (1.0 / rho))
-    while True:
-        middle = 0.5 * (low + high)
-        if middle in (low, high) or not math.isfinite(middle):
-            return high
-        low, high = (low, middle) if k1 * middle + k2 * middle**rho > disturbance else (middle, high)

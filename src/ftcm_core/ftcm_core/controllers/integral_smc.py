@@ -18,10 +18,10 @@ class IntegralSMC(CTC):
 
     a0 = -kd ė - kp e is the law of ctc. σ starts at zero, so there is no reaching phase: from the first
     tick on the motion is that of ctc without disturbance, whatever the initial error. As torques are held
-    over the tick, σ_{k+1} = σ_k + dt (d_k - (Σ + ξ) sat(σ_k/Φ)), exactly. So a disturbance of |d| <= D < Σ
-    + ξ leaves |σ| <= Φ D/(Σ + ξ) at all times if dt (Σ + ξ) <= Φ, and |σ| <= dt (Σ + ξ + D) for Φ = 0; a
-    constant one leaves no error in the end. σ depends on the past: it is no function of e and ė, and no
-    report shows it.
+    over the tick, σ_{k+1} = σ_k + dt (d_k - K sat(σ_k/Φ)), exactly, with K = Σ + ξ. So a disturbance of
+    |d| <= D < K leaves |σ| <= Φ D/K at all times if dt K <= Φ, and |σ| <= dt (K + D) for Φ = 0; a constant
+    one leaves no error in the end. σ depends on the past: it is no function of e and ė, and no report shows
+    it.
     """
 
     sigma_gain: float = param(

@@ -3,8 +3,6 @@
 
 from __future__ import annotations
 
-from operator import sub
-
 from ftcm_core.controllers import FeedbackLaw
 from ftcm_core.params import joint_parameters, param
 from ftcm_core.registry import register
@@ -46,14 +44,10 @@ class PDGravity(FeedbackLaw):
         self, model: Robot, dt: float, y: Measurement, reference: ReferencePoint, state: State
     ) -> tuple[Vector, State]:
         """Gravity torque and PD."""
-        errors = map(sub, y.position, reference.position), map(sub, y.velocity, reference.velocity)
-        parameters = joint_parameters(self, model.joints)
-        return (
-            tuple(
-                [
-                    g - p.kp * e - p.kd * de
-                    for p, g, e, de in zip(parameters, model.gravity(y.position), *errors)
-                ]
-            ),
-            state,
-        )
+        u = [
+            g - p.kp * (q - qr) - p.kd * (v - vr)
+            for p, g, q, v, qr, vr in zip(
+                joint_parameters(self, model.joints), model.gravity(y.position), *y[:2], *reference[:2]
+            )
+        ]
+        return tuple(u), state

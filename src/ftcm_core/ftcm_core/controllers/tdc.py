@@ -17,13 +17,13 @@ class TDC(FeedbackLaw):
 
     Also Youcef-Toumi and Ito (1990). All that the torque does besides M̄ ẍ is taken to be what it was in
     the tick before: u⁻ is the effort that the drives report for that tick, ẍ⁻ the difference of the
-    measured velocities over it. On an inertia M what is left of a disturbance shrinks by the factor 1 -
-    M̄/M a tick: for M̄ = M a constant one is cancelled from the second tick on, and one of slope L leaves
-    L dt. The proof asks that all eigenvalues of I - M(q)⁻¹ M̄ lie within the unit circle, which for one
-    joint is M̄ < 2 M.
+    measured velocities over it. On an inertia M what is left of a disturbance shrinks by (1 - M̄/M) a tick:
+    for M̄ = M a constant one is cancelled from the second tick on, and one of slope L leaves L dt. The proof
+    asks that all eigenvalues of I - M(q)⁻¹ M̄ lie within the unit circle, which for one joint is M̄ < 2 M.
 
     In the first tick, which has none before it, the gravity torque of the model stands in. ẍ⁻ is twice too
-    large where a tick was missed (real time), and has the noise of the velocity, times 1/dt.
+    large where a tick was missed (real time), and has the noise of the velocity, times 1/dt; with a delay of
+    the torque besides, the law is of no use (docs/laws.md).
     """
 
     m_bar: float = param(
