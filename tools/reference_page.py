@@ -28,7 +28,8 @@ parameters of a component are `<type>.<name>` on its node, e.g. `ftcm.gamma1` on
 `/observer`.
 
 "Per joint" means: one number for all joints, or a list with one number per joint. Sources are equations,
-tables and sections of Vo and Kang (2020), or "chosen", with the reason.
+tables and sections of Vo and Kang (2020), another paper that is named ([laws](laws.md)), or "chosen", with
+the reason.
 """
 
 _TITLES = {

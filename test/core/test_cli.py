@@ -184,7 +184,7 @@ def test_reproduce_shows_the_published_table() -> None:
         (["simulate", "paper", "--output", "broken.yaml"], "exists already"),
         (["simulate", "broken.yaml"], "broken.yaml:2: not valid YAML"),
         (["compare", "paper", "--controllers", "smc", "ftcmm"], "'ftcmm'; did you mean 'ftcm'?"),
-        (["compare", "paper", "--set", "controller.c=3"], "with controller ctc: "),
+        (["compare", "paper", "--set", "controller.c=3"], "with controller adrc: "),
         (["compare"], "one scenario or more"),
         (["list", "controllr"], "did you mean 'controller'?"),
         (["describe", "nftsm"], "did you mean 'nftsmc'?"),

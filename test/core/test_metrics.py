@@ -86,10 +86,11 @@ def test_settling_time() -> None:
 
 
 def test_torque_metrics() -> None:
-    """RMS and variation per second of a constant, an alternating and a ramping torque."""
+    """RMS, peak and variation per second of a constant, an alternating and a ramping torque."""
     torque = np.stack([np.full(1000, 3.0), 5 * ALTERNATING, np.arange(1000) * DT], axis=1)
     trace = made_up(command=torque)
     assert value("torque_rms", trace) == pytest.approx([3.0, 5.0, math.sqrt(np.mean(torque[:, 2] ** 2))])
+    assert value("torque_peak", trace) == pytest.approx([3.0, 5.0, 0.999])
     assert value("torque_total_variation", trace) == pytest.approx([0.0, 10.0 / DT, 1.0], rel=1e-12)
 
 
@@ -161,7 +162,8 @@ def test_missing_data_give_no_value() -> None:
     needs = {
         "position": ("mean_abs_error", "rms_error", "max_abs_error", "iae", "ise", "itae", "settling_time",
                      "steady_state_error", "observer_rms_error"),
-        "command": ("torque_rms", "torque_total_variation", "torque_high_frequency_rms", "saturation_share"),
+        "command": ("torque_rms", "torque_peak", "torque_total_variation", "torque_high_frequency_rms",
+                    "saturation_share"),
         "disturbance": ("observer_rms_error", "observer_max_error"),
     }  # fmt: skip
     for column, names in needs.items():

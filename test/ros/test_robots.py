@@ -16,14 +16,12 @@ from ftcm_core.registry import components
 from ftcm_core.scenario.definition import replace
 from ftcm_core.simulation import simulate
 from ftcm_ros.bags.reader import read_bag
-from plugins import ROBOTS, ROBOTS_FILE, robots_known, scenario_mapping
+from plugins import GAINS, ROBOTS, ROBOTS_FILE, robots_known, scenario_mapping
 from traces import same
 
 pytestmark = pytest.mark.ros
 
 PLUGIN = ("--plugin", str(ROBOTS_FILE))
-GAINS = {"kp": 200.0, "kd": 40.0, "ki": 20.0}
-"""Of pid, whose own are for three joints."""
 
 
 def written(folder: Path, robot: str, **more: Any) -> str:
@@ -58,8 +56,9 @@ def test_every_law_and_observer_is_swapped_in_while_six_joints_move(
     assert len(reason.splitlines()) == 1
     assert reason.startswith("pid.kp: ")
     assert reason.endswith("has 3 entries; expected one per joint (6)")
-    for name, value in GAINS.items():
-        assert watcher.set("controller", **{f"pid__{name}": value}) == [(True, "")]
+    for law, gains in GAINS.items():
+        for name, value in gains.items():
+            assert watcher.set("controller", **{f"{law}__{name}": value}) == [(True, "")]
     laws = [name for name in components("controller") if name != "ftcm"]
     assert "pid" in laws
     observers = [name for name in components("observer") if name != "do"]

@@ -39,6 +39,15 @@ ROBOTS: dict[str, Robot] = {
 """Robots of 1, 2, 3 and 6 joints, by name."""
 
 
+GAINS = {
+    "pid": {"kp": 200.0, "kd": 40.0, "ki": 20.0},
+    "pd_gravity": {"kp": 200.0, "kd": 40.0},
+    "tdc": {"m_bar": 0.1},
+    "adrc": {"b0": 1.0},
+}
+"""Gains for any of these robots, of the laws whose own are for the PUMA 560."""
+
+
 @contextlib.contextmanager
 def robots_known() -> Iterator[None]:
     """Have the robots of the plug-in file registered, as after ``--plugin``."""
@@ -55,7 +64,6 @@ def scenario_mapping(robot: str, **more: Any) -> dict[str, Any]:
         robot: its name.
         **more: further keys, or others.
     """
-    gains = {"type": "pid", "kp": 200.0, "kd": 40.0, "ki": 20.0}
     data = {
         "robot": robot,
         "reference": {"type": "sine", "amplitude": 0.2, "frequency": 0.3, "offset": 0.1},
@@ -66,6 +74,6 @@ def scenario_mapping(robot: str, **more: Any) -> dict[str, Any]:
         "transient": 0.02,
         **more,
     }
-    if data["controller"] == "pid":
-        data["controller"] = gains
+    if str(data["controller"]) in GAINS:
+        data["controller"] = {"type": data["controller"], **GAINS[data["controller"]]}
     return data

@@ -37,6 +37,13 @@ def clamp(x: float, bound: float) -> float:
     return max(-bound, min(bound, x))
 
 
+def sat(x: float, width: float) -> float:
+    """Sign of x, but x / width where that is within [-1, 1]; for a width of 0 the sign itself."""
+    if width == 0.0:
+        return sgn(x)
+    return clamp(x / width, 1.0)
+
+
 def select(condition: float, yes: float, no: float) -> float:
     """Return ``yes`` if the condition is not zero, else ``no``."""
     return yes if condition != 0.0 else no

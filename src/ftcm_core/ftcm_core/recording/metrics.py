@@ -96,6 +96,11 @@ def torque_rms(trace: Trace, rows: slice) -> Array:
     return np.asarray(np.sqrt(np.mean(trace.command[rows] ** 2, axis=0)))
 
 
+def torque_peak(trace: Trace, rows: slice) -> Array:
+    """Largest |u| of the commanded torque, N·m."""
+    return np.asarray(np.max(np.abs(trace.command[rows]), axis=0))
+
+
 def torque_total_variation(trace: Trace, rows: slice) -> Array:
     """Sum of |u_{k+1} - u_k| per second, N·m/s: a measure of chattering."""
     u = trace.command[rows]
@@ -147,6 +152,7 @@ METRICS: dict[str, tuple[Callable[[Trace, slice], Array], str]] = {
     "settling_time": (settling_time, "s"),
     "steady_state_error": (steady_state_error, "rad"),
     "torque_rms": (torque_rms, "N·m"),
+    "torque_peak": (torque_peak, "N·m"),
     "torque_total_variation": (torque_total_variation, "N·m/s"),
     "torque_high_frequency_rms": (torque_high_frequency_rms, "N·m"),
     "saturation_share": (saturation_share, "-"),
@@ -173,8 +179,8 @@ def evaluate(trace: Trace) -> dict[str, dict[str, list[float | None]] | None]:
 def result(trace: Trace) -> dict[str, Any]:
     """Return a run's result for programs: what ran, how it ended, its metrics.
 
-    ``settling_time_bound`` (eq 15) is the controller's bound from the initial error, per joint, beside
-    the measured ``metrics.whole.settling_time``; null for a law without one.
+    ``settling_time_bound`` (eq 15, or the law's own) is the controller's bound from the initial error, per
+    joint, beside the measured ``metrics.whole.settling_time``; null for a law without one.
     """
     scenario = trace.scenario
     law = scenario.controller if scenario else None

@@ -142,7 +142,7 @@ def sliding_variable(traces: Sequence[Run]) -> Figure:
     """Sliding variable σ of each law (Fig 6)."""
     return _start_and_rest(
         traces,
-        "Sliding variable σ (rad/s; of nftsmc: rad)",
+        "Sliding variable σ (rad/s; of nftsmc and its kin: rad)",
         "σ",
         lambda trace: trace.sliding_variable,
         absent="no sliding variable",

@@ -5,6 +5,7 @@ from __future__ import annotations
 
 import dataclasses
 import math
+import textwrap
 from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any
 
@@ -21,6 +22,8 @@ BINS = 500
 MISSING = "not recorded"
 _FEW = 120
 """So few ticks are drawn one by one, even if they chatter."""
+_NOTE = 48
+"""Letters in a line of a note that fit the narrowest panel."""
 _ONSET = "fault onset"
 _BAND = 0.02
 """A run whose envelope is wider than this share of the panel is drawn as a band."""
@@ -102,8 +105,9 @@ def panel(
         return
     if gone:
         ax.text(
-            0.015, 0.04, f"{', '.join(gone)}: {absent}", transform=ax.transAxes, color="0.3", fontsize=6.5,
-            zorder=5, bbox={"facecolor": "white", "alpha": 0.8, "edgecolor": "none", "pad": 1.0},
+            0.015, 0.04, textwrap.fill(f"{', '.join(gone)}: {absent}", _NOTE), transform=ax.transAxes,
+            color="0.3", fontsize=6.5, zorder=5,
+            bbox={"facecolor": "white", "alpha": 0.8, "edgecolor": "none", "pad": 1.0},
         )  # fmt: skip
     low, high = _limits(drawn)
     ax.set_ylim(low, high)

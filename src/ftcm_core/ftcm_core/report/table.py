@@ -80,8 +80,8 @@ def comparison_table(results: Sequence[Result]) -> str:
 
 
 def settling_table(results: Sequence[Result]) -> str:
-    """Measured settling time beside the bound of eq 15, in Markdown."""
-    rows = [["controller", "settled after, s", "bound of eq 15, s"]]
+    """Measured settling time beside the law's bound, in Markdown."""
+    rows = [["controller", "settled after, s", "bound, s"]]
     for result in results:
         measured = values(result, "whole", "settling_time")
         bound = result["settling_time_bound"]
@@ -89,8 +89,9 @@ def settling_table(results: Sequence[Result]) -> str:
             [run_name(result), _cell(measured, lambda x: f"{x:.3f}"), _cell(bound, lambda x: f"{x:.3f}")]
         )
     return (
-        f"Time until |e| stays within {SETTLING_BAND:g} rad, joint by joint. The bound is for the motion on\n"
-        "the sliding surface, from the initial error to zero; the time to reach it comes on top.\n\n"
+        f"Time until |e| stays within {SETTLING_BAND:g} rad, joint by joint. The bound (eq 15, or the law's\n"
+        "own) is for the motion on the sliding surface, from the initial error to zero; the time to\n"
+        "reach it comes on top.\n\n"
         f"{markdown(rows)}\n"
     )
 
