@@ -28,8 +28,8 @@ parameters of a component are `<type>.<name>` on its node, e.g. `ftcm.gamma1` on
 `/observer`.
 
 "Per joint" means: one number for all joints, or a list with one number per joint. Sources are equations,
-tables and sections of Vo and Kang (2020), another paper that is named ([laws](laws.md)), or "chosen", with
-the reason.
+tables and sections of Vo and Kang (2020), other works by author and year, which the component's file cites in
+full ([laws](laws.md), [observers](observers.md)), or "chosen", with the reason.
 """
 
 _TITLES = {
@@ -58,6 +58,8 @@ def reference_page() -> str:
                 parts.append(f"Site: {cls.site}.")
             if getattr(cls, "needs_observer", False):
                 parts.append("Needs an observer.")
+            if not getattr(cls, "needs_velocity", True):
+                parts.append("Does not look at the measured velocity.")
             parts.append(_table(declared) if declared else "No parameters.")
     return "\n\n".join(part.strip() for part in parts) + "\n"
 

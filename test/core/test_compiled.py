@@ -19,7 +19,7 @@ from ftcm_core.controllers import FeedbackLaw
 from ftcm_core.disturbances import Disturbance
 from ftcm_core.errors import FtcmError
 from ftcm_core.faults import TOPICS
-from ftcm_core.params import param
+from ftcm_core.params import param, specs
 from ftcm_core.random_streams import stream_key, uniform
 from ftcm_core.recording.metrics import evaluate
 from ftcm_core.registry import components
@@ -106,6 +106,11 @@ ONE_OF_EACH = {
         f"lost {topic}": (f"injection.faults=[{{type: dropped_messages, start: 0.01, topic: {topic}}}]",)
         for topic in TOPICS
     },
+    **{
+        f"implicit {name}": (f"observer={{type: {name}, discretisation: implicit}}",)
+        for name, cls in components("observer").items()
+        if "discretisation" in specs(cls)
+    },
 }
 
 
@@ -113,6 +118,13 @@ ONE_OF_EACH = {
 def test_what_is_written_of_every_kind_of_component_is_the_plain_tick(variant):
     _, loop = started(*ONE_OF_EACH[variant])
     _, other = started(*ONE_OF_EACH[variant])
+    written_as_plain(loop, other, 40)
+
+
+@pytest.mark.parametrize("name", sorted(set(components("observer")) - {"none"}))
+def test_what_is_written_of_any_observer_is_the_plain_tick(name):
+    _, loop = started(f"observer={name}")
+    _, other = started(f"observer={name}")
     written_as_plain(loop, other, 40)
 
 

@@ -136,7 +136,7 @@ def outputs(kind: str, component: Any, robot: Robot, s: Sample) -> tuple[list[Ve
     if kind == "robot":
         a, c = s.reference.acceleration, component
         vectors = [c.inverse_dynamics(q, v, a), c.forward_dynamics(q, v, u), c.inertia_acceleration(q, u)]
-        return [*vectors, c.inertia_torque(q, a), c.gravity(q)], []
+        return [*vectors, c.inertia_torque(q, a), c.inertia_rate_torque(q, v), c.gravity(q)], []
     if kind == "plant":
         first = component.init(robot, q, v)
         second = component.step(robot, DT, u, first)

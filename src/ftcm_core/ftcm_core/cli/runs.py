@@ -170,5 +170,5 @@ def _sources(named: Sequence[str], overrides: list[str]) -> list[str]:
 
 
 def _warn(jobs: Sequence[Job]) -> None:
-    for text in dict.fromkeys(w for _, scenario in jobs for w in scenario.controller.warnings()):
+    for text in dict.fromkeys(w for _, scenario in jobs for w in scenario.warnings()):
         note(f"warning: {text}")

@@ -32,6 +32,7 @@ MANY_LINES = 150
 """A robot's method that writes more lines than that becomes a function of the source."""
 DYNAMICS = {
     "inverse_dynamics", "forward_dynamics", "gravity", "inertia_torque", "inertia_acceleration",
+    "inertia_rate_torque",
 }  # fmt: skip
 
 Steps = tuple[tuple[str, Any], ...]

@@ -58,6 +58,15 @@ class DO(Observer):
             DOState(tuple(omega), delta_hat, y.position, y.velocity),
         )
 
+    def warnings(self, model: Robot, dt: float) -> list[str]:
+        """Gains for which the forward Euler step is unstable."""
+        return [
+            f"{where}: k1={p.k1:g} and k2={p.k2:g} are unstable with ticks of {dt:g} s; expected k1 dt < k2 "
+            "and k2 dt < 2 + k1 dt²/2; lower the gains or dt"
+            for where, p in self.each_joint()
+            if not (p.k1 * dt < p.k2 and p.k2 * dt < 2.0 + 0.5 * p.k1 * dt * dt)
+        ]
+
 
 def observer_step(
     k1: float, k2: float, omega_hat: float, delta_hat: float, velocity: float, acceleration: float, dt: float

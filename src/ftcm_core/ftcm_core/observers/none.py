@@ -3,7 +3,7 @@
 
 from __future__ import annotations
 
-from typing import Any
+from typing import Any, ClassVar
 
 from ftcm_core.observers import Observer
 from ftcm_core.registry import register
@@ -14,6 +14,8 @@ from ftcm_core.signals import Measurement, Vector
 @register("observer", "none")
 class NoObserver(Observer):
     """No observer: tau_hat = 0."""
+
+    needs_velocity: ClassVar[bool] = False
 
     def init(self, model: Robot, y: Measurement) -> Any:
         """Nothing to remember."""

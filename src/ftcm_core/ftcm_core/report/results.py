@@ -95,8 +95,8 @@ def writing(folder: Path) -> Iterator[None]:
 
 
 def labelled(label: str, trace: Trace) -> dict[str, Any]:
-    """Return a run's result with its label and what its controller warns of."""
-    warnings = trace.scenario.controller.warnings() if trace.scenario else []
+    """Return a run's result with its label and what its controller and observer warn of."""
+    warnings = trace.scenario.warnings() if trace.scenario else []
     return {"label": label, **result(trace), "warnings": warnings}
 
 

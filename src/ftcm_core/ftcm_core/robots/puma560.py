@@ -168,6 +168,36 @@ def inertia(k: Vector, q: Vector) -> tuple[Vector, Vector]:
     ), (s2, c2, s3, c3, s23, c23)
 
 
+def inertia_rate(k: Vector, q: Vector, v: Vector) -> Vector:
+    """Rate of the inertia matrix of the explicit model along v.
+
+    Args:
+        k: coefficients, as of :func:`inertia`.
+        q: joint positions, rad.
+        v: joint velocities, rad/s.
+
+    Returns:
+        Rates of the entries that :func:`inertia` returns, kg·m²/s.
+    """
+    i3, i4, i9, i11, i12, i13, p, q_, r, s, *_ = k
+    _, q2, q3 = q
+    _, d2, d3 = v
+    s2, c2, s3, c3 = sin(q2), cos(q2), sin(q3), cos(q3)
+    s23, c23 = s2 * c3 + c2 * s3, c2 * c3 - s2 * s3
+    d23 = d2 + d3
+    m13 = (i13 * c23 - s * s23) * d23
+    half23 = (r * c3 - i12 * s3) * d3
+    return (
+        d2 * (i11 * (c2 * c2 - s2 * s2) - 2.0 * i3 * s2 * c2 - 2.0 * s2 * (r * s23 + i12 * c23))
+        + d23 * (2.0 * p * s23 * c23 + q_ * (c23 * c23 - s23 * s23) + 2.0 * c2 * (r * c23 - i12 * s23)),
+        (i4 * c2 - i9 * s2) * d2 + m13,
+        m13,
+        2.0 * half23,
+        half23,
+        0.0,
+    )
+
+
 def loads(k: Vector, v: Vector, trig: Vector) -> tuple[float, float, float, float, float]:
     """Velocity and gravity torques of the explicit model.
 
@@ -339,6 +369,10 @@ class Puma560(Robot):
     def inertia_torque(self, q: Vector, a: Vector) -> Vector:
         """Torque M(q) a, N·m."""
         return multiply(inertia(self.coefficients, q)[0], a)
+
+    def inertia_rate_torque(self, q: Vector, v: Vector) -> Vector:
+        """Torque Ṁ(q) v, N·m."""
+        return multiply(inertia_rate(self.coefficients, q, v), v)
 
     def inverse_dynamics(self, q: Vector, v: Vector, a: Vector) -> Vector:
         """Torque M(q) a + h(q, v) + G(q) + F(v), N·m."""

@@ -17,7 +17,7 @@ from ftcm_core.params import Parameterised, param, per_joint
 from ftcm_core.plants import Plant
 from ftcm_core.plants.rigid_body import RigidBody
 from ftcm_core.references import Reference
-from ftcm_core.registry import find
+from ftcm_core.registry import Component, find
 from ftcm_core.robots import Robot
 from ftcm_core.scenario.yaml_text import dump_yaml
 from ftcm_core.sensors import Sensor
@@ -255,6 +255,17 @@ class Scenario(Parameterised):
         if name == self.controller.type_name:
             return self
         return replace(self, controller=cast(Controller, find("controller", name)()))
+
+    def warnings_of(self, part: Component) -> list[str]:
+        """Conditions that the parameters of a component do not meet in this run, one line each."""
+        if isinstance(part, Observer):
+            return part.warnings(self.model, self.dt)
+        found: list[str] = getattr(part, "warnings", list)()
+        return found
+
+    def warnings(self) -> list[str]:
+        """Return the warnings of its controller and its observer."""
+        return self.warnings_of(self.controller) + self.warnings_of(self.observer)
 
     def to_mapping(self) -> dict[str, Any]:
         """Return the complete scenario, every default written out, as plain data."""

@@ -51,7 +51,7 @@ class ComponentNode(ReactiveNode):
 
     def _on_change(self, component: Component) -> None:
         self._pending = component, self.program(component) if self.stages == "compiled" else None
-        for line in getattr(component, "warnings", list)():
+        for line in self.scenario.warnings_of(component):
             self.get_logger().warning(line)
 
     def use(self, component: Component) -> None:
@@ -62,7 +62,7 @@ class ComponentNode(ReactiveNode):
         super().configure()
         self._pending = self._announced = None
         self._output = (0.0,) * self.scenario.robot.joints
-        for line in getattr(self.parameters.component, "warnings", list)():
+        for line in self.scenario.warnings_of(self.parameters.component):
             self.get_logger().warning(line)
 
     def take(self, name: str, sample: Any) -> None:

@@ -151,7 +151,7 @@ def run_experiment(options: argparse.Namespace) -> int:
     failures, runs = [], []
     try:
         for label, scenario in zip(labels, scenarios):
-            for line in scenario.controller.warnings():
+            for line in scenario.warnings():
                 say(f"warning: {line}")
             run = Run(scenario, label, folder, options, domain)
             runs.append(run)
