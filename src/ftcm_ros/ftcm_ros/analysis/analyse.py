@@ -72,18 +72,10 @@ def analyse(options: argparse.Namespace) -> int:
         _repair(bags, options.repair)
     traces = list(zip(labels(bags), (b.trace for b in bags)))
     for label, bag in zip((n for n, _ in traces), bags):
-        if bag.runs > 1:
-            print(f"warning: {label}: the bag holds {bag.runs} runs; this is the last one", file=sys.stderr)
-        if bag.recovered:
-            print(f"warning: {label}: bag was not closed; recovered: {bag.recovered}", file=sys.stderr)
-        if bag.damage:
-            print(f"warning: {label}: damaged: {bag.damage}", file=sys.stderr)
-        elif not bag.checked and not bag.recovered:
-            print(f"{label}: the bag has no checksums: damage would not show", file=sys.stderr)
-        if bag.unusable:
-            print(f"warning: {label}: messages that are no tick left out: {bag.unusable}", file=sys.stderr)
-        if bag.missing:
-            print(f"warning: {label}: ticks missing in the bag: {bag.missing}", file=sys.stderr)
+        for line in bag.warnings():
+            print(f"warning: {label}: {line}", file=sys.stderr)
+        for line in bag.remarks():
+            print(f"{label}: {line}", file=sys.stderr)
         if bag.trace.scenario is None:
             print(
                 f"warning: {label}: the bag does not carry its scenario; no fault windows, no observer error "
@@ -94,6 +86,7 @@ def analyse(options: argparse.Namespace) -> int:
     samples = [(label, hop_times(bag)) for (label, _), bag in zip(traces, bags)]
     extra = {
         "damage": {label: bag.damage for (label, _), bag in zip(traces, bags)},
+        "files": {label: bag.files for (label, _), bag in zip(traces, bags)},
         "missing_ticks": {label: bag.missing for (label, _), bag in zip(traces, bags)},
         "timing_us": {label: percentiles(found) for label, found in samples},
         "nodes": {label: bag.nodes for (label, _), bag in zip(traces, bags)},

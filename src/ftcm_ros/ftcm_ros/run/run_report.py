@@ -30,14 +30,12 @@ def read_bags(runs: list[Run]) -> tuple[list[tuple[str, BagContents]], list[str]
             unreadable.append(f"{run.label}: {error}")
             continue
         found.append((run.label, bag))
-        if bag.recovered:
-            say(f"warning: {run.label}: bag was not closed; recovered: {bag.recovered}")
+        for line in bag.warnings():
+            say(f"warning: {run.label}: {line}")
+        for line in bag.remarks():
+            say(f"{run.label}: {line}")
         if bag.damage:
             unreadable.append(f"{run.label}: {bag.damage}")
-        if bag.unusable:
-            say(f"warning: {run.label}: messages that are no tick left out: {bag.unusable}")
-        if bag.missing:
-            say(f"warning: {run.label}: ticks missing in the bag: {bag.missing}")
         if bag.trace.status != "completed":
             say(f"{run.label}: {bag.trace.status}: {bag.trace.detail}")
     return found, unreadable
