@@ -32,6 +32,8 @@ setup(
             "composed = ftcm_ros.nodes.composed:main",
             "experiment = ftcm_ros.run.experiment:main",
             "analyse = ftcm_ros.analysis.analyse:main",
-        ]
+            "replay = ftcm_ros.analysis.replay:main",
+        ],
+        "ftcm.commands": ["replay = ftcm_ros.analysis.replay:replay_bags"],
     },
 )

@@ -17,7 +17,7 @@ One file each: :mod:`~ftcm_core.replay.record` (what is known of a run), :mod:`~
 (what differs, and why).
 """
 
-from ftcm_core.replay.findings import Difference, Replay, StageFinding, cause, replay
-from ftcm_core.replay.record import Record, record_of
+from ftcm_core.replay.findings import Difference, Replay, StageFinding, cause, replay, verdict
+from ftcm_core.replay.record import Record
 
-__all__ = ["Difference", "Record", "Replay", "StageFinding", "cause", "record_of", "replay"]
+__all__ = ["Difference", "Record", "Replay", "StageFinding", "cause", "replay", "verdict"]

@@ -4,21 +4,32 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from itertools import product
-from typing import Any
+from typing import Any, NamedTuple
 
 from ftcm_core.compiled.stage import CompiledStage, compiled_stage, stage_program
 from ftcm_core.recording.trace import Change
-from ftcm_core.replay.record import ROUNDING, Message, Record, distance, plain_state, recall, remember
+from ftcm_core.replay.record import PATIENCE, Message, Record, distance, plain_state, recall, remember
 from ftcm_core.signals import Measurement, seconds
 from ftcm_core.simulation.stages import ControllerStage, DetectorStage, InjectorStage, ObserverStage
 
-Computed = dict[str, list[Message | None]]
-"""What the replay gives, per data topic and tick."""
+Computed = dict[str, list[list[Message]]]
+"""What the replay gives, per data topic and tick: the likeliest first; several where that is not known."""
 Answer = tuple[Message, ...]
 Call = Callable[[Any, int, tuple[Message, ...], int], Answer]
 """A stage, time (ns), what it received, how many ticks after its last answer: what it sends."""
+
+MOST = 8
+"""How many possibilities are followed up at once (chosen)."""
+
+
+class Possibility(NamedTuple):
+    """What a stage may remember."""
+
+    memory: Any
+    ticks: int = 1
+    """How many ticks after its last answer the next one is."""
 
 
 class AnsweringStage:
@@ -45,64 +56,75 @@ class AnsweringStage:
         """Ticks of which the record does not tell enough."""
         self._record, self._computed, self._stage = record, computed, stage
         self._inputs, self._call, self._failed = inputs, call, failed
-        self._gap = 0
-        """Ticks since the last one that is known to have been answered."""
-        self._before_gap: Any = None
-        """The stage's memory then."""
+        self._possible = [Possibility(remember(stage))]
+        self._patience = PATIENCE
         self._sure = True
         """Whether the stage's memory is known."""
+        self._begun = False
+        """Whether it has answered."""
 
     def change(self, component: Any) -> None:
         """Use another component from this tick on."""
-        if isinstance(self._stage, CompiledStage):
-            old = getattr(self._stage, self.name)
-            self._stage.swap(component, stage_program(self.name, self._record.scenario, component))
+        stage, found = self._stage, []
+        for possibility in self._possible:
+            recall(stage, possibility.memory)
+            state = plain_state(stage)
+            plain = getattr(stage, "stage", stage)
+            old = getattr(plain, self.name)
+            plain.swap(component)
+            afresh = type(component) is not type(old)
+            found.append(Possibility(plain.state, 1 if afresh else possibility.ticks))
+            setattr(plain, self.name, old)
+            plain.state = state
+        if isinstance(stage, CompiledStage):
+            stage.swap(component, stage_program(self.name, self._record.scenario, component))
         else:
-            old = getattr(self._stage, self.name)
-            self._stage.swap(component)
-        if type(component) is not type(old):
-            self._gap = 0  # it starts afresh
+            stage.swap(component)
+        self._possible = found
 
     def tick(self, k: int) -> None:
         """Answer one tick; the inputs of the tick have been computed."""
-        record, computed = self._record, self._computed
+        record = self._record
         said = [record.at(topic, k) for topic in self.outputs]
-        heard = [heard_at(record, computed, topic, k) for topic in self._inputs]
+        heard = [heard_at(record, self._computed, topic, k) for topic in self._inputs]
+        known = any(message is not None for message in said)
         if not all(heard):  # the run has ended before, as far as the replay knows
-            self.undecided += [k] * any(message is not None for message in said)
+            self.undecided += [k] * known
             return
-        answered = record.lockstep or any(message is not None for message in said)
-        memory = remember(self._stage)
-        tries = [(memory, 1)]
-        if not answered:  # or its answer is lost: nobody knows
-            if self._gap == 0:
-                self._before_gap = plain_state(self._stage)
-            self._gap += 1
-            self._sure = False
-        elif self._gap:
-            tries.append((self._before_gap, self._gap + 1))
-            self._gap = 0
-        best: tuple[float, Answer, Any] | None = None
-        for inputs, (begin, ticks) in product(product(*heard), tries):
-            recall(self._stage, begin)
+        found: list[tuple[float, Answer, Possibility]] = []
+        for (memory, ticks), inputs in product(self._possible, product(*heard)):
+            recall(self._stage, memory)
             answer = self._answer(k, inputs, ticks)
-            apart = distance(said, answer)
-            if best is None or apart < best[0]:
-                best = apart, answer, remember(self._stage)
-            if apart == 0.0:
-                break
-        assert best is not None
-        apart, answer, memory = best
-        recall(self._stage, memory)
-        for topic, message in zip(self.outputs, answer):
-            self._computed[topic][k] = message
-        if not answered:
+            found.append((distance(said, answer), answer, Possibility(remember(self._stage))))
+        found.sort(key=lambda possible: possible[0])
+        best = found[0][0]
+        if best == 0.0:
+            found = [possible for possible in found if possible[0] == 0.0]
+        elif self._patience:
+            self._patience -= 1
+        else:
+            found = found[:1]
+        for i, topic in enumerate(self.outputs):
+            self._computed[topic][k] = distinct(answer[i] for _, answer, _ in found[:MOST])
+        following = [possibility for _, _, possibility in found[:MOST]]
+        lost = any(record.at(topic, k) is None for topic in self._inputs)
+        if record.lockstep or known:
+            self._possible = following
+            self._begun = True
+        else:  # it has skipped this tick, or its answer is lost
+            lost = True
+            skipped = [p._replace(ticks=p.ticks + self._begun) for p in self._possible]
+            self._possible = [
+                *following[: MOST // 2],
+                *skipped[-(MOST // 2) :],
+            ]  # all answered, none answered
+        if record.lockstep:
             return
-        lost = not record.lockstep and any(record.at(topic, k) is None for topic in self._inputs)
-        if apart <= ROUNDING:
+        if known and best == 0.0:
             self._sure = True
-        elif lost or not self._sure:
+        elif lost:
             self._sure = False
+        if known and best > 0.0 and not self._sure:
             self.undecided.append(k)
 
     def _answer(self, k: int, inputs: tuple[Message, ...], ticks: int) -> Answer:
@@ -115,9 +137,17 @@ class AnsweringStage:
 
 def heard_at(record: Record, computed: Computed, topic: str, k: int) -> list[Message]:
     """Return what may have been received: what is recorded, then what the replay gives where that differs."""
-    theirs, ours = record.at(topic, k), computed[topic][k]
-    found = [message for message in (theirs, ours) if message is not None]
-    return found[:1] if len(found) == 2 and distance([theirs], [ours]) == 0.0 else found
+    recorded, ours = record.at(topic, k), computed[topic][k]
+    if recorded is None:
+        return ours
+    if recorded in ours:  # what is not a number is not heard by any stage
+        return [recorded]
+    return [recorded, *ours]
+
+
+def distinct(messages: Iterable[Message]) -> list[Message]:
+    """Return messages without repetition."""
+    return list(dict.fromkeys(messages))
 
 
 def answering_stages(record: Record, computed: Computed) -> list[AnsweringStage]:

@@ -5,20 +5,21 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 
-from ftcm_core.recording.trace import ENDED_EARLY
+from ftcm_core.recording.trace import ENDED_EARLY, Array
 from ftcm_core.replay.answers import AnsweringStage, Computed, answering_stages, changes_at
 from ftcm_core.replay.plant import Held, ReplayedPlant
 from ftcm_core.replay.record import ROUNDING, Message, Record, channels_of
+from ftcm_core.signals import COLUMNS
 
 FEW = 10
 """Up to so many ticks that differ, and all else equal, are a record that was changed (chosen)."""
 
 
-@dataclass(frozen=True)
-class Difference:
+class Difference(NamedTuple):
     """A recorded number that the replay does not give."""
 
     tick: int
@@ -101,7 +102,7 @@ def replay(record: Record, progress: Callable[[int, int], None] | None = None) -
         FtcmError: stages that ran compiled cannot be compiled here.
     """
     channels, last = channels_of(record.scenario), record.ticks - 1
-    computed: Computed = {topic: [None] * record.ticks for topic in channels}
+    computed: Computed = {topic: [[] for _ in range(record.ticks)] for topic in channels}
     plant = ReplayedPlant(record, computed)
     answering = answering_stages(record, computed)
     changes = changes_at(record.changes)
@@ -138,10 +139,11 @@ def _finding(
         if not rows:
             continue
         ticks.update(rows)
-        theirs, ours = (_table(said, rows, columns, record) for said in (record.said[topic], computed[topic]))
+        given = [computed[topic][k] for k in rows]
+        theirs = _table([record.at(topic, k) for k in rows], columns, record)
+        ours = _table([messages[0] if messages else None for messages in given], columns, record)
         unlike = (theirs.view(np.int64) != ours.view(np.int64)) & ~(np.isnan(theirs) & np.isnan(ours))
-        missing = np.array([computed[topic][k] is None for k in rows])
-        unlike |= missing[:, None, None]
+        unlike |= np.array([not messages for messages in given])[:, None, None]
         if not unlike.any():
             continue
         differing.update(np.array(rows)[unlike.any(axis=(1, 2))].tolist())
@@ -161,10 +163,57 @@ def _finding(
     return StageFinding(name, len(ticks), tuple(sorted(differing)), tuple(undecided), first, largest)
 
 
-def _table(said: Sequence[Message | None], rows: list[int], columns: list[str], record: Record) -> np.ndarray:
-    """Numbers of some ticks, of shape (ticks, columns, joints); nan where nothing is said."""
+def _table(said: Sequence[Message | None], columns: list[str], record: Record) -> Array:
+    """Numbers of shape (ticks, columns, joints); nan where nothing is said."""
     nothing = ((np.nan,) * record.scenario.robot.joints,) * len(columns)
-    return np.array([said[k] or nothing for k in rows], dtype=np.float64)
+    return np.array([message or nothing for message in said], dtype=np.float64)
+
+
+def verdict(found: Replay) -> str:
+    """Say in a sentence whether a run is proved, or what differs first."""
+    ticks = f"{found.record.ticks:,} ticks"
+    if not found.equal:
+        return f"differs {_where(found)}"
+    text = f"equal, float for float: {ticks}"
+    if found.undecided:
+        text = f"equal, float for float, where it can be decided: {ticks}"
+        text += "; not decided: " + ", ".join(
+            f"{stage.name} {_ranges(stage.undecided)}" for stage in found.stages if stage.undecided
+        )
+    held = found.held
+    if held.ticks:
+        text += (
+            f"; in {held.ticks:,} the plant moved with what it held: command in {held.command:,}, "
+            f"disturbance in {held.disturbance:,}, safe stop in {held.safe_stop:,}"
+        )
+    return text
+
+
+def _where(found: Replay) -> str:
+    scenario, first = found.record.scenario, found.first
+    if first is None:
+        status, reason = found.end
+        here = f"{status}: {reason}" if reason else "it goes on"
+        return f"at its end: recorded as {found.record.status}, here {here}"
+    unit, joint = COLUMNS[first.signal].unit, scenario.robot.joint_names[first.joint]
+    what = f"{first.signal} of {joint}: recorded {first.recorded!r} {unit}"
+    at = f"first at tick {first.tick}, t = {first.tick * scenario.dt:g} s: {what}"
+    if first.computed != first.computed and first.recorded == first.recorded:
+        return f"{at}, none here"
+    return f"{at}, here {first.computed!r}: {first.apart:.2g} apart"
+
+
+def _ranges(ticks: Sequence[int], most: int = 5) -> str:
+    """Ticks in words: ``ticks 3, 7 to 9``."""
+    found: list[list[int]] = []
+    for k in ticks:
+        if found and k == found[-1][1] + 1:
+            found[-1][1] = k
+        else:
+            found.append([k, k])
+    texts = [f"{a}" if a == b else f"{a} to {b}" for a, b in found[:most]]
+    more = f" and {len(found) - most} more" if len(found) > most else ""
+    return f"tick{'s' if len(ticks) > 1 else ''} {', '.join(texts)}{more}"
 
 
 def cause(found: Replay, versions: Mapping[str, tuple[str, str]]) -> str:
@@ -176,17 +225,17 @@ def cause(found: Replay, versions: Mapping[str, tuple[str, str]]) -> str:
     """
     if found.equal:
         return ""
-    differing = {(s.name, k) for s in found.stages for k in s.differing}
-    settled = all(not s.differing or s.differing[-1] < s.ticks - 1 for s in found.stages)
+    differing = [k for stage in found.stages for k in stage.differing]
+    last = found.record.ticks - 1
     others = ", ".join(f"{name} {theirs} (here {ours})" for name, (theirs, ours) in versions.items())
-    if max(s.largest for s in found.stages) <= ROUNDING and found.ends_alike:
+    if not found.ends_alike and not differing:
+        text = "other limits or other code"
+    elif max(stage.largest for stage in found.stages) <= ROUNDING:
         text = "single operations round differently: another processor, operating system or library"
-    elif found.ends_alike and len(differing) <= FEW and settled:
-        return "what is recorded was changed after the run: all else follows from what the replay gives here"
+    elif len(differing) <= FEW and max(differing) < last:
+        return "the record was changed after the run: all else follows from what the replay gives there"
     elif others:
         text = "other code, or another version of a library"
     else:
-        text = (
-            "other code than that of the run, though its versions are the same; or a node of another program"
-        )
+        text = "other code than that of the run, though its versions are the same; or another program's node"
     return f"{text}; recorded with {others}" if others else text

@@ -16,21 +16,28 @@ the one that comes out of the delay.
 from __future__ import annotations
 
 from collections import deque
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterator
 from dataclasses import dataclass
 from itertools import islice, product
 from typing import Any, NamedTuple
 
 from ftcm_core.recording.trace import ENDED_EARLY
-from ftcm_core.replay.answers import Computed, as_it_ran, heard_at
-from ftcm_core.replay.record import ROUNDING, Message, Record, distance, plain_state, recall, remember
+from ftcm_core.replay.answers import MOST, Computed, as_it_ran, distinct, heard_at
+from ftcm_core.replay.record import (
+    PATIENCE,
+    ROUNDING,
+    Message,
+    Record,
+    distance,
+    plain_state,
+    recall,
+    remember,
+)
 from ftcm_core.signals import TrueDisturbance, Vector
 from ftcm_core.simulation.stages import PlantStage
 
 WINDOW = 1000
 """How many ticks back a held input is looked for (chosen: ten times the longest before a safe stop)."""
-SEARCHES = 100
-"""How many searches may be in vain before no more are made (chosen: one takes up to a tenth of a second)."""
 TRIES = 2000
 """How many acts a search tries (chosen: twice the disturbances of the window)."""
 LAST = 4
@@ -49,14 +56,20 @@ class Act(NamedTuple):
     """Whether it is not the one whose turn it was."""
     late_disturbance: bool = False
 
+    @property
+    def late(self) -> bool:
+        """Whether anything is not what it should be."""
+        return self.late_command or self.late_disturbance or self.command is None
+
 
 class Outcome(NamedTuple):
-    """Where an act leads."""
+    """Where an act leads, or may have led."""
 
     apart: float
     """Distance from what is recorded; infinite where the run ends."""
-    act: Act
-    sent: tuple[Message | None, Message | None]
+    act: Act | None
+    """None: the motion is the recorded one, however that came about."""
+    sent: tuple[Message, Message] | None
     """Measured and true motion after it."""
     memory: Any
     status: str = "running"
@@ -73,6 +86,13 @@ class Held:
     safe_stop: int = 0
     ticks: int = 0
     """Any of them."""
+
+    def count(self, act: Act) -> None:
+        """Count one tick."""
+        self.command += act.late_command
+        self.disturbance += act.late_disturbance
+        self.safe_stop += act.command is None
+        self.ticks += act.late
 
 
 class ReplayedPlant:
@@ -100,59 +120,118 @@ class ReplayedPlant:
         self._disturbances: deque[Vector] = deque([self._zeros], LAST)
         self._braking = False
         """Whether that was a safe stop."""
+        self._possible = [Outcome(0.0, None, self._sent(), remember(self._stage))]
+        """Where it may be."""
         self._robot = self._plain.robot, self._plain.changes
         """The robot in this tick, and what becomes of it."""
         self._motion = self._plain.motion
         self._spent = False
         """Whether the engine has moved on from there, and changes its state in place."""
-        self._memories = [remember(self._stage)]
-        """What it may remember: as of the replay, and if that differs with the motion that is recorded."""
         self._sure = True
-        self._searches = SEARCHES
+        """Whether it is known what the plant remembers."""
+        limited = scenario.limits.torque is not None or scenario.limits.torque_step is not None
+        self._doubtful = not record.lockstep and limited and bool(self._plain.links[1].faults)
+        """Whether that may never be known: a drive at its limit does the same whatever it gets, but which
+        messages are dropped depends on how many it got."""
+        self._patience = PATIENCE
+        self._open = 0
+        """For how many ticks more it may show which of several possibilities it was."""
         self.held = Held()
         self.undecided: list[int] = []
         """Ticks of which the record does not tell enough."""
         self.end = ("completed", "")
         """How the run ends after its last tick: status and reason."""
-        computed["joint_states"][0], computed["true_state"][0] = self._sent()
+        self._send(0)
 
     def _sent(self) -> tuple[Message, Message]:
         return tuple(self._stage.measure()), (*self._stage.motion, self._stage.joint_torque)
 
+    def _send(self, k: int) -> None:
+        """Say what is measured at a tick, or may be."""
+        sent = [outcome.sent for outcome in self._possible if outcome.sent]
+        for i, topic in enumerate(self.outputs):
+            self._computed[topic][k] = distinct(messages[i] for messages in sent)
+
     def move(self, k: int) -> None:
         """Move over the tick k; what is measured at k + 1 is computed."""
-        said = [self._record.at(topic, k + 1) for topic in self.outputs]
-        recall(self._stage, self._memories[0])
+        record = self._record
+        said = [record.at(topic, k + 1) for topic in self.outputs]
+        recall(self._stage, self._possible[0].memory)
         self._robot, self._spent = (self._plain.robot, self._plain.changes), False
         if self._stage is self._plain:
             self._motion = self._plain.motion
-        best = self._best(k, said, product(self._memories, self._usual(k)))
-        if best.apart > 0.0 and not self._record.lockstep and self._searches:
-            acts = islice(self._unusual(k, said), TRIES)
-            found = self._best(k, said, ((self._memories[0], act) for act in acts))
-            self._searches -= found.apart > ROUNDING or found.apart >= best.apart
-            best = min(best, found, key=lambda outcome: outcome.apart)
-        act = best.act
+        known = record.lockstep or said != [None, None]
+        found = self._follow(k, said, known)
+        exact = known and found[0].apart == 0.0
+        if known and not exact:
+            self._patience = max(0, self._patience - 1)
+            found += self._as_recorded(found[0].memory, *said)
+        self._possible = found
+        self._send(k + 1)
+        self._note(found[0].act)
+        if record.lockstep:
+            return
+        if exact:
+            self._sure = True
+        elif not known:
+            self._sure = False
+        elif self._doubtful or not self._sure:
+            self.undecided.append(k + 1)
+
+    def _follow(self, k: int, said: list[Message | None], known: bool) -> list[Outcome]:
+        """Find what leads to what is recorded; else return all that may have acted, the likeliest first."""
+        tried: list[Outcome] = []
+        fitting: list[tuple[Outcome, Outcome]] = []
+        for before in self._possible if known else self._possible[:1]:
+            fits = False
+            for act in self._usual(k):
+                if fits and act.late:
+                    break
+                outcome = self._try(k, before.memory, act, said)
+                tried.append(outcome)
+                if known and outcome.apart == 0.0:
+                    fitting.append((before, outcome))
+                    fits = True
+            if fits and not self._open:
+                break
+        if fitting:
+            self._open = self._delay + 1 if len(fitting) > len(self._possible) else max(0, self._open - 1)
+            self._settle(k, fitting[0][0])
+            return [outcome for _, outcome in fitting[: MOST if self._open else 1]]
+        self._open = self._delay + 1
+        if known and self._patience and not self._record.lockstep:
+            for act in islice(self._unusual(k, said), TRIES):
+                outcome = self._try(k, self._possible[0].memory, act, said)
+                if outcome.apart == 0.0:
+                    self._settle(k, self._possible[0])
+                    return [outcome]
+        self._settle(k, self._possible[0])
+        if not tried:  # the run has ended before, as far as the replay knows
+            return [Outcome(INFINITELY, None, None, self._possible[0].memory)]
+        nearest = min(tried, key=lambda outcome: outcome.apart)
+        first = nearest if not self._patience or nearest.apart <= ROUNDING < tried[0].apart else tried[0]
+        if known and not self._patience:
+            return [first]
+        others = {outcome.sent: outcome for outcome in reversed(tried) if outcome.sent != first.sent}
+        return [first, *reversed(others.values())][: MOST - 1]
+
+    def _settle(self, k: int, before: Outcome) -> None:
+        """Note from where the plant moved on in the tick k: that tells what acted in the tick before."""
+        if before.act is not None:
+            self.held.count(before.act)
+        if len(self._possible) > 1 and before.sent:
+            for topic, message in zip(self.outputs, before.sent):
+                self._computed[topic][k] = [message]
+
+    def _note(self, act: Act | None) -> None:
+        if act is None:
+            return
         self._braking = act.command is None
         for value, last in ((act.command, self._commands), (act.disturbance, self._disturbances)):
             if value is not None and value != last[0]:
                 last.appendleft(value)
-        self.held.command += act.late_command
-        self.held.disturbance += act.late_disturbance
-        self.held.safe_stop += self._braking
-        self.held.ticks += self._braking or act.late_command or act.late_disturbance
-        self._computed["joint_states"][k + 1], self._computed["true_state"][k + 1] = best.sent
-        self._memories = [best.memory]
-        if said[0] is None and not self._record.lockstep:
-            self._sure = False
-        elif best.apart <= ROUNDING:
-            self._sure = True
-        elif not self._sure:
-            self.undecided.append(k + 1)
-        if best.apart > 0.0:
-            self._memories += self._as_recorded(best.memory, *said)
 
-    def _as_recorded(self, memory: Any, measured: Message | None, true: Message | None) -> list[Any]:
+    def _as_recorded(self, memory: Any, measured: Message | None, true: Message | None) -> list[Outcome]:
         """The same memory with the motion that is recorded, if it is."""
         motion = measured if true is None and not self._record.scenario.hidden else true
         if motion is None:
@@ -163,26 +242,18 @@ class ReplayedPlant:
         if self._effort_shows and measured is not None:
             drive = drive._replace(effort=measured[2])
         q, v, *_ = motion
-        return [state._replace(motion=self._plain.plant.init(self._plain.robot, q, v), drive=drive)]
+        engine = self._plain.plant.init(self._plain.robot, q, v)
+        return [Outcome(0.0, None, None, state._replace(motion=engine, drive=drive))]
 
     def finish(self, k: int) -> None:
         """Move over the last tick of the record: see how a run ended that could not go on."""
+        self._settle(k, self._possible[0])
         if self._record.status not in ENDED_EARLY:
             return
-        ends = [self._try(k, m, act, []) for m, act in product(self._memories, self._usual(k))]
+        ends = [self._try(k, p.memory, act, []) for p in self._possible for act in self._usual(k)]
         alike = [outcome for outcome in ends if outcome.status == self._record.status]
-        self.end = (alike or ends)[0][-2:]
-
-    def _best(self, k: int, said: list[Message | None], acts: Iterable[tuple[Any, Act]]) -> Outcome:
-        """Try one after the other, until one leads to what is recorded."""
-        best = None
-        for memory, act in acts:
-            outcome = self._try(k, memory, act, said)
-            if best is None or outcome.apart < best.apart:
-                best = outcome
-            if outcome.apart == 0.0:
-                break
-        return best or Outcome(INFINITELY, Act(self._zeros, self._zeros), (None, None), self._memories[0])
+        if ends:
+            self.end = (alike or ends)[0][-2:]
 
     def _usual(self, k: int) -> Iterator[Act]:
         """What may have moved it over the tick k, the likeliest first."""
@@ -190,8 +261,9 @@ class ReplayedPlant:
         commands = [(u, False) for (u,) in heard_at(self._record, self._computed, "joint_torques", k)]
         disturbances = [(d, False) for (d,) in heard_at(self._record, self._computed, "disturbance", k)]
         if not self._record.lockstep:
-            commands += [*((u, True) for u in self._commands), (None, False)]
-            disturbances += [(d, True) for d in self._disturbances]
+            last = LAST if self._patience else 1
+            commands += [*((u, True) for u in islice(self._commands, last)), (None, False)]
+            disturbances += [(d, True) for d in islice(self._disturbances, last)]
         for (u, late), (d, late_disturbance) in product(commands, disturbances):
             yield Act(u, d, late, late_disturbance)
 
@@ -203,12 +275,12 @@ class ReplayedPlant:
         if self._braking:
             for late, d in self._recent("disturbance", k):
                 yield Act(None, d, False, late)
-        wanted = said[0][2] if self._effort_shows and said[0] else None
+        wanted = said[0][2] if said[0] else None
         sent = self._sent_command(k)
         for late, u in self._recent("joint_torques", k - self._delay):
             act = Act(u if late else sent, self._disturbances[0], late, True)
-            measured = self._try(k, self._memories[0], act, said).sent[0]
-            if wanted is None or (measured is not None and measured[2] == wanted):
+            sent_then = self._try(k, self._possible[0].memory, act, said).sent
+            if wanted is None or (sent_then is not None and sent_then[0][2] == wanted):
                 for late_disturbance, d in self._recent("disturbance", k):
                     yield act._replace(disturbance=d, late_disturbance=late_disturbance)
 
@@ -228,7 +300,7 @@ class ReplayedPlant:
         stage, plain, command = self._stage, self._plain, act.command
         plain.status, plain.reason = "running", ""
         plain.robot, plain.changes = self._robot
-        if self._spent and memory is self._memories[0]:
+        if self._spent and memory is self._possible[0].memory:
             memory = memory._replace(motion=plain.plant.init(plain.robot, *self._motion))
         recall(stage, memory)
         if self._delay and command is not None and not self._record.lockstep:
@@ -246,9 +318,9 @@ class ReplayedPlant:
                 stage.step(k * self._dt_ns, command, d)
         except (ArithmeticError, ValueError) as error:
             reason = str(error) or type(error).__name__
-            return Outcome(INFINITELY, act, (None, None), memory, "diverged", reason)
+            return Outcome(INFINITELY, act, None, memory, "diverged", reason)
         if stage.reason:
-            return Outcome(INFINITELY, act, (None, None), memory, stage.status, stage.reason)
+            return Outcome(INFINITELY, act, None, memory, stage.status, stage.reason)
         after, sent = remember(stage), self._sent()
         self._spent |= stage is plain and after.motion is memory.motion
         return Outcome(distance(said, sent), act, sent, after)

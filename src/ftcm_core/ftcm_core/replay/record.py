@@ -8,7 +8,7 @@ from collections.abc import Iterable, Mapping, Sequence
 from typing import Any
 
 from ftcm_core.compiled.stage import CompiledStage
-from ftcm_core.recording.trace import Change, Trace
+from ftcm_core.recording.trace import Change
 from ftcm_core.scenario import Scenario
 from ftcm_core.signals import CHANNELS, Channel, Vector
 
@@ -17,9 +17,12 @@ Message = tuple[Vector, ...]
 Said = Mapping[str, Sequence[Message | None]]
 """Per data topic, what was said at each tick; None where nothing was, or it is lost."""
 
-ROUNDING = 1e-9
-"""Relative difference up to which a value is the same but for rounding (chosen: single operations differ by
-1e-16, what they make of a tick by 1e-13)."""
+ROUNDING = 1e-6
+"""Relative difference up to which a value may be the same but for rounding (chosen: single operations differ
+by 1e-16, which a law near its singularity makes 1e-8; other parameters make more)."""
+PATIENCE = 20
+"""In how many ticks a stage may give something else than what is recorded, before it is taken to be another
+one (chosen). Until then all is followed up that may explain it, then only what comes nearest."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -53,24 +56,6 @@ def channels_of(scenario: Scenario) -> dict[str, Channel]:
     """Return the data topics of a run by name; ``true_state`` besides, which tells of held inputs."""
     told = next(c for c in CHANNELS if c.topic == "true_state")
     return {told.topic: told, **{c.topic: c for c in scenario.channels}}
-
-
-def record_of(trace: Trace) -> Record:
-    """Make a record of a trace, of which every tick is there.
-
-    Args:
-        trace: of a run with its scenario.
-    """
-    scenario = trace.scenario
-    assert scenario is not None
-    columns = trace.columns
-    said = {
-        channel.topic: list(zip(*(map(tuple, columns[name].tolist()) for name in channel.columns if name)))
-        for channel in scenario.channels
-    }
-    parts = frozenset(("plant", "observer", "controller", "injector", "detector"))
-    compiled = parts if trace.engine == "compiled" else frozenset()
-    return Record(scenario, said, trace.changes, status=trace.status, compiled=compiled)
 
 
 def distance(recorded: Iterable[Message | None], computed: Iterable[Message | None]) -> float:

@@ -59,6 +59,9 @@ class BagContents:
     """Time at which each message was published (system clock), ns, per data topic."""
     stamps: dict[str, npt.NDArray[np.int64]]
     """Stamp of each message, ns, per data topic."""
+    arrays: dict[str, list[npt.NDArray[np.float64] | None]]
+    """Position, velocity and effort of each message, of shape (messages, joints), per data topic; None where
+    they are not filled."""
     unusable: dict[str, int]
     """Messages left out, as they are no tick of this robot's run, per topic; empty if there are none."""
     runs: int = 1
@@ -181,7 +184,8 @@ def read_bag(path: Path, scenario: Scenario | None = None) -> BagContents:
         engine="graph",
     )  # fmt: skip
     return BagContents(
-        path, trace, missing, nodes, metadata, published, stamps_of, unusable, runs, recovered, damage,
+        path, trace, missing, nodes, metadata, published, stamps_of,
+        {name: arrays for name, (_, arrays) in decoded.items()}, unusable, runs, recovered, damage,
         verdict == "whole" or (files.sealed and not files.changed), "" if damage else files.note,
     )  # fmt: skip
 
