@@ -136,7 +136,7 @@ def measure(*, quick: bool = False, jobs: int | None = None) -> dict[str, Any]:
         rows.append(_row("largest process of the campaign", [largest], "MB"))
         if quick:
             rows.append(_row("scaled to 1,000 runs, not measured", [passed * 1000 / runs], "s"))
-    about = {**provenance(), "processor": _processor(), "cores": os.cpu_count()}
+    about = {**provenance(), "cores": os.cpu_count()}
     return {"rows": rows, "machine": about, "load": {"before": load_before, "after": os.getloadavg()}}
 
 
@@ -152,7 +152,7 @@ def text(found: dict[str, Any]) -> str:
         for r in found["rows"]
     ]
     lines.append(
-        f"{machine['processor']}, {machine['cores']} cores, Python {machine['python']}, "
+        f"{machine.get('processor', '?')}, {machine['cores']} cores, Python {machine['python']}, "
         f"numpy {machine['numpy']}; load {load_['before'][0]:.2f} before, {load_['after'][0]:.2f} after"
     )
     return "\n".join(lines)
@@ -251,14 +251,6 @@ def _mujoco(rotor: np.typing.NDArray[np.float64]) -> Step:
         return tuple(data.qacc.tolist())
 
     return step
-
-
-def _processor() -> str:
-    try:
-        with open("/proc/cpuinfo", encoding="utf-8") as lines:
-            return next(x.split(":", 1)[1].strip() for x in lines if x.startswith("model name"))
-    except (OSError, StopIteration):
-        return "unknown processor"
 
 
 if __name__ == "__main__":

@@ -45,7 +45,7 @@ def measure(text: str) -> list[list[float]]:
     """
     exact = simulate(load("paper", text.split()))
     encoder = simulate(load("paper", [*text.split(), "sensor=encoder"]))
-    onset = rows(exact, exact.scenario.first_fault if exact.scenario else 0.0)
+    onset = rows(exact, exact.fault_intervals[0].onset)
     settled, after = rows(exact, SETTLED), rows(exact, AFTER)
     found = [
         rms_error(exact, slice(settled, onset)),
@@ -58,9 +58,9 @@ def measure(text: str) -> list[list[float]]:
     return [column.tolist() for column in found]
 
 
-def rows(trace: Trace, t: float | None) -> int:
+def rows(trace: Trace, t: float) -> int:
     """Number of the row at a time, s."""
-    return int(np.searchsorted(trace.time_ns, round((t or 0.0) * 1e9)))
+    return int(np.searchsorted(trace.time_ns, round(t * 1e9)))
 
 
 def rms_error(trace: Trace, window: slice) -> Array:

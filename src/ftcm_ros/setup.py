@@ -33,6 +33,8 @@ setup(
             "experiment = ftcm_ros.run.experiment:main",
             "analyse = ftcm_ros.analysis.analyse:main",
             "fault = ftcm_ros.run.fault:main",
-        ]
+            "replay = ftcm_ros.analysis.replay:main",
+        ],
+        "ftcm.commands": ["replay = ftcm_ros.analysis.replay:replay_bags"],
     },
 )

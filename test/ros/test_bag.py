@@ -9,6 +9,7 @@ import json
 import random
 import resource
 import shutil
+import sqlite3
 import subprocess
 import zlib
 from collections.abc import Iterator
@@ -506,12 +507,10 @@ def test_results_that_cannot_be_written_are_one_line(trace: Trace, tmp_path: Pat
 # Damage.
 
 
-@pytest.fixture(scope="module")
-def sound(trace: Trace, tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A closed mcap bag of three chunks of ticks."""
-    path = tmp_path_factory.mktemp("sound") / "bag"
+def in_batches(path: Path, storage: str, trace: Trace) -> Path:
+    """A closed bag whose ticks were brought to the file in three batches."""
     assert isinstance(trace.scenario, Scenario)
-    recording = Recording(path, "mcap", trace.scenario)
+    recording = Recording(path, storage, trace.scenario)
     for k in range(trace.ticks):
         for topic, data in messages(trace, k):
             recording.write(topic, 10**18 + k * 10**6, data)
@@ -521,15 +520,33 @@ def sound(trace: Trace, tmp_path_factory: pytest.TempPathFactory) -> Path:
     return path
 
 
-def changed(sound: Path, folder: Path, place: int) -> Path:
-    """A copy of a bag with one byte of its file changed."""
+@pytest.fixture(scope="module")
+def sound(trace: Trace, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A closed mcap bag of three chunks of ticks."""
+    return in_batches(tmp_path_factory.mktemp("sound") / "bag", "mcap", trace)
+
+
+@pytest.fixture(scope="module")
+def sound_sqlite3(trace: Trace, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The same as a sqlite3 bag."""
+    return in_batches(tmp_path_factory.mktemp("sound") / "bag", "sqlite3", trace)
+
+
+def changed(sound: Path, folder: Path, place: int, name: str = "") -> Path:
+    """A copy of a bag with one byte changed, of the file with its messages or of another."""
     target = folder / f"bag{place}"
     shutil.copytree(sound, target)
-    (file,) = target.glob("*.mcap")
+    file = target / name if name else data_file(target)
     data = bytearray(file.read_bytes())
     data[place] ^= 0x41
     file.write_bytes(data)
     return target
+
+
+def data_file(bag: Path) -> Path:
+    """The file that has the messages."""
+    (file,) = [f for f in bag.iterdir() if f.suffix in (".mcap", ".db3")]
+    return file
 
 
 def test_a_bag_has_the_checksums_of_the_format(sound: Path) -> None:
@@ -582,11 +599,127 @@ def test_one_changed_byte_is_noticed_wherever_it_is(trace: Trace, sound: Path, t
     assert 30 < lost < 80
 
 
-def test_analyse_ends_with_an_error_for_a_damaged_bag_unless_it_is_accepted(
-    sound: Path, tmp_path: Path
+def test_one_changed_byte_of_a_sqlite3_bag_is_noticed_wherever_it_is(
+    trace: Trace, sound_sqlite3: Path, tmp_path: Path
 ) -> None:
-    (file,) = sound.glob("*.mcap")
-    bag = changed(sound, tmp_path, file.stat().st_size // 2)
+    """As in mcap; but the first page, without which nothing can be read, has no second copy."""
+    size = data_file(sound_sqlite3).stat().st_size
+    page = 4096
+    places = {*random.Random(6).sample(range(page, size), 40), *range(page, size, 5 * page)}
+    lost = 0
+    for place in places:
+        bag = read_bag(changed(sound_sqlite3, tmp_path, place))
+        assert bag.trace.status == "damaged", place
+        assert bag.trace.detail == bag.damage
+        assert "not what was recorded" in bag.damage
+        kept = (bag.trace.time_ns // 1_000_000).tolist()
+        for name, column in trace.columns.items():
+            found = bag.trace.columns[name]
+            there = ~np.isnan(found)
+            assert np.array_equal(found[there], column[kept][there]), (place, name)
+        lost += len(kept) < trace.ticks
+        assert (len(kept) < trace.ticks) <= ("are damaged or lost" in bag.damage)
+    assert 20 < lost < len(places)
+    with pytest.raises(FtcmError, match="nothing could be recovered"):
+        read_bag(changed(sound_sqlite3, tmp_path, 0))
+
+
+def test_a_damaged_batch_of_a_sqlite3_bag_is_left_out_and_named(
+    trace: Trace, sound_sqlite3: Path, tmp_path: Path
+) -> None:
+    path = tmp_path / "bag"
+    shutil.copytree(sound_sqlite3, path)
+    with contextlib.closing(sqlite3.connect(data_file(path))) as database, database:
+        assert database.execute("PRAGMA integrity_check").fetchone() == ("ok",)
+        ends = [end for (end,) in database.execute("SELECT last_id FROM ftcm_digests ORDER BY last_id")]
+        assert ends == [1, 501, 1001, 1501, 1506]  # the scenario, then 5 messages a tick
+        database.execute("UPDATE messages SET timestamp = timestamp + 1 WHERE id = 700")
+    (path / "SHA256SUMS").unlink()  # the digests of the batches are enough
+    bag = read_bag(path)
+    assert (
+        bag.damage == "the file is not what was recorded: ticks 100 to 199 are damaged or lost, and left out"
+    )
+    assert (bag.trace.time_ns // 1_000_000).tolist() == [*range(100), *range(200, 301)]
+    assert set(bag.missing.values()) == {100}
+
+
+@pytest.mark.parametrize(
+    "harm",
+    [
+        "DELETE FROM messages WHERE id = 700",
+        "UPDATE messages SET id = 5000 WHERE id = 700",
+        "UPDATE messages SET topic_id = topic_id + 1 WHERE id = 700",
+        "UPDATE messages SET data = 'text' WHERE id = 700",
+        "INSERT INTO messages SELECT id + 10000, topic_id, timestamp, data FROM messages WHERE id = 700",
+        "DELETE FROM ftcm_digests WHERE last_id = 1001",
+        "UPDATE ftcm_digests SET last_id = 1002 WHERE last_id = 1001",
+        "UPDATE ftcm_digests SET crc32 = 7 WHERE last_id = 1001",
+    ],
+)
+def test_whatever_happens_to_rows_is_noticed_by_the_digests(
+    sound_sqlite3: Path, tmp_path: Path, harm: str
+) -> None:
+    shutil.copytree(sound_sqlite3, tmp_path / "bag")
+    (tmp_path / "bag" / "SHA256SUMS").unlink()
+    with contextlib.closing(sqlite3.connect(data_file(tmp_path / "bag"))) as database, database:
+        assert database.execute(harm).rowcount == 1
+    bag = read_bag(tmp_path / "bag")
+    assert bag.trace.status == "damaged"
+    if "INSERT" not in harm:
+        assert "ticks 100 to" in bag.damage
+
+
+def test_digests_that_cannot_be_read_lose_no_message(
+    trace: Trace, sound_sqlite3: Path, tmp_path: Path
+) -> None:
+    path = tmp_path / "bag"
+    shutil.copytree(sound_sqlite3, path)
+    with contextlib.closing(sqlite3.connect(data_file(path))) as database:
+        (page,) = database.execute(
+            "SELECT rootpage FROM sqlite_master WHERE name = 'ftcm_digests'"
+        ).fetchone()
+    with data_file(path).open("r+b") as stream:
+        stream.seek((page - 1) * 4096)
+        stream.write(bytes(4096))
+    bag = read_bag(path)
+    assert bag.trace.status == "damaged"
+    assert same(bag.trace, trace)
+
+
+def test_other_programs_read_a_sqlite3_bag_with_digests(trace: Trace, sound_sqlite3: Path) -> None:
+    """By rosbags, and by what rosbag2's own sqlite3 storage asks of a file."""
+    with AnyReader([sound_sqlite3]) as reader:
+        assert reader.message_count == 5 * trace.ticks + 1
+        assert sum(1 for _ in reader.messages()) == 5 * trace.ticks + 1
+    with contextlib.closing(sqlite3.connect(data_file(sound_sqlite3))) as database:
+        query = (
+            "SELECT data, timestamp, topics.name, messages.id FROM messages JOIN topics "
+            "ON messages.topic_id = topics.id ORDER BY messages.timestamp, messages.id"
+        )
+        assert len(database.execute(query).fetchall()) == 5 * trace.ticks + 1
+        assert database.execute("SELECT schema_version FROM schema").fetchone() == (4,)
+
+
+@pytest.mark.parametrize("storage", STORAGE)
+def test_an_unclosed_bag_with_a_damaged_batch_keeps_the_others(
+    trace: Trace, sound: Path, sound_sqlite3: Path, tmp_path: Path, storage: str
+) -> None:
+    source = sound if storage == "mcap" else sound_sqlite3
+    data = data_file(source).read_bytes()
+    place = data.index(messages(trace, 150)[0][1])  # of tick 150
+    path = changed(source, tmp_path, place + 20)
+    (path / "metadata.yaml").unlink()
+    bag = read_bag(path)
+    assert "bag was not closed; recovered: complete to t = 0.3 s" in " ".join(bag.warnings())
+    assert (bag.trace.time_ns // 1_000_000).tolist() == [*range(100), *range(200, 301)]
+
+
+@pytest.mark.parametrize("storage", STORAGE)
+def test_analyse_ends_with_an_error_for_a_damaged_bag_unless_it_is_accepted(
+    sound: Path, sound_sqlite3: Path, tmp_path: Path, storage: str
+) -> None:
+    source = sound if storage == "mcap" else sound_sqlite3
+    bag = changed(source, tmp_path, data_file(source).stat().st_size // 2)
     run = analyse(bag, "--output", tmp_path / "out")
     assert run.returncode == 1
     (warning,) = [line for line in run.stderr.splitlines() if "damaged: " in line]
@@ -603,3 +736,85 @@ def test_a_bag_without_checksums_says_so(trace: Trace, sound: Path, tmp_path: Pa
     said = "the bag has no checksums: damage would not show"
     assert said in analyse(tmp_path / "foreign").stderr
     assert said not in analyse(sound).stderr
+
+
+# What the files of a bag were.
+
+
+@pytest.mark.parametrize("storage", STORAGE)
+def test_a_closed_bag_says_what_its_files_are(trace: Trace, tmp_path: Path, storage: str) -> None:
+    path = in_batches(tmp_path / "bag", storage, trace)
+    check = ["sha256sum", "--check", "--strict", "SHA256SUMS"]
+    run = subprocess.run(check, cwd=path, capture_output=True, text=True, check=False)
+    assert run.returncode == 0, run.stderr
+    assert run.stdout.splitlines() == [f"{data_file(path).name}: OK", "metadata.yaml: OK"]
+    path.rename(tmp_path / "moved")
+    bag = read_bag(tmp_path / "moved")
+    assert bag.warnings() == bag.remarks() == []
+
+
+def remark(run: subprocess.CompletedProcess[str]) -> str:
+    """The one line that is said of a bag."""
+    (line,) = run.stderr.splitlines()
+    return line
+
+
+def test_a_bag_whose_files_were_renamed_merged_or_exchanged_says_so(
+    trace: Trace, sound: Path, tmp_path: Path
+) -> None:
+    path = tmp_path / "bag"
+    shutil.copytree(sound, path)
+    size = data_file(path).stat().st_size
+    data_file(path).rename(path / "other.mcap")
+    run = analyse(path)
+    assert (run.returncode, remark(run)) == (0, "ftcm: bag.mcap is called other.mcap now")
+    assert same(read_bag(path).trace, trace)
+    (path / "other.mcap").rename(path / "bag.mcap")
+    shutil.copy(path / "bag.mcap", path / "more.mcap")
+    run = analyse(path)
+    assert (run.returncode, remark(run)) == (0, "ftcm: more.mcap was not recorded with it")
+    (path / "more.mcap").unlink()
+    other = simulate(load("paper", ["duration=0.3"], controller="smc"))
+    (path / "bag.mcap").write_bytes(data_file(in_batches(tmp_path / "two", "mcap", other)).read_bytes())
+    now = (path / "bag.mcap").stat().st_size
+    assert now != size
+    run = analyse(path)
+    assert run.returncode == 1
+    assert remark(run) == (
+        f"warning: smc: damaged: bag.mcap is not what was recorded: {now} bytes, {size} were recorded; "
+        "every message fits its checksum"
+    )
+    (path / "bag.mcap").unlink()
+    assert "nothing could be recovered" in one_line(analyse(path))
+
+
+@pytest.mark.parametrize("name", ["metadata.yaml", "SHA256SUMS"])
+def test_a_changed_byte_of_the_other_files_is_noticed(
+    trace: Trace, sound: Path, tmp_path: Path, name: str
+) -> None:
+    size = (sound / name).stat().st_size
+    for place in [*range(0, size, size // 40), size - 1]:
+        bag = read_bag(changed(sound, tmp_path, place, name))
+        assert bag.damage or "is called" in bag.files, place  # the name of a file was changed
+        assert bag.trace.status == ("damaged" if bag.damage else "completed")
+        assert same(bag.trace, trace)
+        assert bag.trace.scenario == trace.scenario
+
+
+def test_a_bag_that_does_not_say_what_its_files_were_is_analysed(
+    trace: Trace, sound: Path, tmp_path: Path
+) -> None:
+    path = tmp_path / "bag"
+    shutil.copytree(sound, path)
+    (path / "SHA256SUMS").unlink()
+    run = analyse(path)
+    assert (run.returncode, remark(run)) == (
+        0, "ftcm: no SHA256SUMS: whether its files were exchanged is not known"
+    )  # fmt: skip
+    killed, _, _ = unclosed(tmp_path, trace, "mcap")[4]
+    run = analyse(killed)
+    assert run.returncode == 0
+    assert "bag was not closed; recovered: complete to t = " in remark(run)
+    assert remark(run).endswith("; nothing says what its files were (no SHA256SUMS)")
+    assert analyse(killed, "--repair", tmp_path / "repaired").returncode == 0
+    assert (tmp_path / "repaired" / "SHA256SUMS").is_file()

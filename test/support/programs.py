@@ -7,14 +7,18 @@ import sys
 from pathlib import Path
 
 TOOLS = Path(__file__).resolve().parents[2] / "tools"
-_MODULES = {"experiment": "ftcm_ros.run.experiment", "analyse": "ftcm_ros.analysis.analyse"}
+_MODULES = {
+    "experiment": "ftcm_ros.run.experiment",
+    "analyse": "ftcm_ros.analysis.analyse",
+    "replay": "ftcm_ros.analysis.replay",
+}
 
 
 def program(name: str) -> list[str]:
     """Return the command of a program.
 
     Args:
-        name: ``experiment``, ``analyse``, ``nodes.NODE``, or the file name of a tool.
+        name: ``experiment``, ``analyse``, ``replay``, ``nodes.NODE``, or the file name of a tool.
     """
     if name.endswith(".py"):
         return [sys.executable, str(TOOLS / name)]

@@ -1,8 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The command line ``ftcm``: ``simulate``, ``compare``, ``reproduce``, ``campaign``, ``suite``, ``list``, ...
+"""The command ``ftcm``: simulate, compare, reproduce, campaign, suite, replay, list, describe.
 
 Results go to stdout, warnings, progress and errors to stderr. Exit status: 0 done (a run that diverges is a
-result), 1 the machine failed (disk, memory), 2 a mistake in what was asked, 130 interrupted.
+result), 1 the machine failed (disk, memory) or a replay differs, 2 a mistake in what was asked, 130
+interrupted.
 """
 
 from __future__ import annotations
@@ -18,6 +19,7 @@ import ftcm_core
 from ftcm_core import campaign
 from ftcm_core.cli.listing import describe_command, list_command
 from ftcm_core.cli.output import drop_stdout, fail
+from ftcm_core.cli.replaying import replay_command, replay_options
 from ftcm_core.cli.runs import campaign_command, compare_command, reproduce_command, simulate_command
 from ftcm_core.cli.suites import add_arguments, suite_command
 from ftcm_core.errors import FtcmError
@@ -158,6 +160,14 @@ def _parser() -> argparse.ArgumentParser:
         "ftcm suite faults --controllers smc nftsmc ftcm --joints 1 2 3 --conditions ideal encoder",
     )
     add_arguments(sub)
+
+    sub = command(
+        "replay",
+        replay_command,
+        "run recorded runs again and compare, float for float: 0 equal, 1 not",
+        "ftcm replay runs/a/bags/ftcm",
+    )
+    replay_options(sub)
 
     sub = command("list", list_command, "list scenarios and components", "ftcm list controller")
     sub.add_argument("kind", nargs="?", metavar="KIND", help=f"one of scenario, {', '.join(KINDS)}")

@@ -201,6 +201,17 @@ class CompiledStage:
             self._call(0, *inputs)
         self._state = None
 
+    def remember(self) -> Any:
+        """Return what :meth:`recall` takes back: all that it remembers, of the same component."""
+        return self.stage.state if self._state is None else self._state.copy()
+
+    def recall(self, memory: Any) -> None:
+        """Go on from what it remembered; or from a state of the stage."""
+        if isinstance(memory, np.ndarray):
+            self._state = memory.copy()
+        else:
+            self._state, self.stage.state = None, memory
+
     def give_back(self) -> None:
         """Give the stage its state, so that it can go on by itself."""
         if self._state is not None:

@@ -1,29 +1,60 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Where a result comes from: versions, revision, platform."""
+"""Where a result comes from: versions, revision, plug-ins, platform, processor."""
 
 from __future__ import annotations
 
+import hashlib
 import os
 import platform
 import subprocess
+from importlib import metadata
 from pathlib import Path
 
 import numpy as np
 
 from ftcm_core import __version__
+from ftcm_core.registry import plugins
 
 
 def provenance() -> dict[str, str]:
-    """Return versions of the suite and what it runs on, and the git revision where there is one."""
+    """Return versions of the suite and what it runs on, and the git revision where there is one.
+
+    A plug-in's version is the begin of the SHA-256 of its file.
+    """
     found = {
         "ftcm_core": __version__,
         "python": platform.python_version(),
         "numpy": np.__version__,
+        "numba": _version("numba"),
         "platform": platform.platform(),
         "machine": platform.machine(),
+        "processor": _processor(),
+        "revision": git_revision() or "",
+        **{f"plug-in {name}": _digest(Path(name)) for name in plugins()},
     }
-    revision = git_revision()
-    return {**found, "revision": revision} if revision else found
+    return {name: value for name, value in found.items() if value}
+
+
+def _version(package: str) -> str:
+    try:
+        return metadata.version(package)
+    except metadata.PackageNotFoundError:
+        return ""
+
+
+def _processor() -> str:
+    try:
+        with open("/proc/cpuinfo", encoding="utf-8") as lines:
+            return next(x.split(":", 1)[1].strip() for x in lines if x.startswith("model name"))
+    except (OSError, StopIteration):
+        return ""
+
+
+def _digest(file: Path) -> str:
+    try:
+        return hashlib.sha256(file.read_bytes()).hexdigest()[:12]
+    except OSError:  # a module, or one that is not there any more
+        return ""
 
 
 def git_revision() -> str | None:

@@ -12,6 +12,7 @@ from ftcm_core.errors import FtcmError
 from ftcm_core.registry import load_plugins
 from ftcm_core.report.results import labelled, new_folder, report, to_json, write_results
 from ftcm_core.scenario import load
+from ftcm_ros.analysis.replay import prove, summarised
 from ftcm_ros.analysis.timing import hop_times, percentiles, timing_table, write_figure
 from ftcm_ros.bags.reader import BagContents, read_bag
 from ftcm_ros.bags.recovery import repair
@@ -45,6 +46,11 @@ def build_parser() -> argparse.ArgumentParser:
         action="store_true",
         help="exit status 0 for a bag that is not what was recorded; what is damaged is left out in any case",
     )
+    parser.add_argument(
+        "--replay",
+        action="store_true",
+        help="run what was recorded again, in process, and compare; exit status 1 if a run differs",
+    )
     parser.add_argument("--json", action="store_true", help="print the results as one JSON object")
     return parser
 
@@ -72,18 +78,10 @@ def analyse(options: argparse.Namespace) -> int:
         _repair(bags, options.repair)
     traces = list(zip(labels(bags), (b.trace for b in bags)))
     for label, bag in zip((n for n, _ in traces), bags):
-        if bag.runs > 1:
-            print(f"warning: {label}: the bag holds {bag.runs} runs; this is the last one", file=sys.stderr)
-        if bag.recovered:
-            print(f"warning: {label}: bag was not closed; recovered: {bag.recovered}", file=sys.stderr)
-        if bag.damage:
-            print(f"warning: {label}: damaged: {bag.damage}", file=sys.stderr)
-        elif not bag.checked and not bag.recovered:
-            print(f"{label}: the bag has no checksums: damage would not show", file=sys.stderr)
-        if bag.unusable:
-            print(f"warning: {label}: messages that are no tick left out: {bag.unusable}", file=sys.stderr)
-        if bag.missing:
-            print(f"warning: {label}: ticks missing in the bag: {bag.missing}", file=sys.stderr)
+        for line in bag.warnings():
+            print(f"warning: {label}: {line}", file=sys.stderr)
+        for line in bag.remarks():
+            print(f"{label}: {line}", file=sys.stderr)
         if bag.trace.scenario is None:
             print(
                 f"warning: {label}: the bag does not carry its scenario; no fault windows, no observer error "
@@ -94,20 +92,26 @@ def analyse(options: argparse.Namespace) -> int:
     samples = [(label, hop_times(bag)) for (label, _), bag in zip(traces, bags)]
     extra = {
         "damage": {label: bag.damage for (label, _), bag in zip(traces, bags)},
+        "files": {label: bag.files for (label, _), bag in zip(traces, bags)},
         "missing_ticks": {label: bag.missing for (label, _), bag in zip(traces, bags)},
         "timing_us": {label: percentiles(found) for label, found in samples},
         "nodes": {label: bag.nodes for (label, _), bag in zip(traces, bags)},
     }
+    proofs = [(label, prove(bag)) for (label, _), bag in zip(traces, bags) if options.replay]
+    if proofs:
+        extra["replay"] = {label: proof.to_mapping() for label, proof in proofs}
     timing = timing_table([(label, bag) for (label, _), bag in zip(traces, bags)])
+    more = "\n".join(text for text in (timing, summarised(proofs)) if text)
     if folder is not None:
-        write_results(folder, traces, extra, timing)
+        write_results(folder, traces, extra, more)
         write_figure(samples, folder / "figures" / "timing.png")
         print(f"results: {folder}/summary.json, table.md, figures/", file=sys.stderr)
     if options.json:
         print(to_json({"results": results, **extra}, indent=1))
     else:
-        print(report(results, timing).rstrip())
-    return 1 if any(bag.damage for bag in bags) and not options.accept_damage else 0
+        print(report(results, more).rstrip())
+    damaged = any(bag.damage for bag in bags) and not options.accept_damage
+    return int(damaged or not all(proof.found.equal for _, proof in proofs))
 
 
 def _repair(bags: list[BagContents], target: Path) -> None:

@@ -20,7 +20,8 @@ from ftcm_core.recording.trace import ENDED_EARLY, Change, FaultEvent, FaultOrde
 from ftcm_core.registry import find, plugins
 from ftcm_core.scenario import Scenario, from_mapping, parse_yaml
 from ftcm_core.signals import NANOSECONDS, channels
-from ftcm_ros.bags.checksums import verify
+from ftcm_ros.bags import checksums, digests
+from ftcm_ros.bags.manifest import Comparison, compare
 from ftcm_ros.bags.recovery import Message, files_of, scan
 from ftcm_ros.transport.codec import JOINT_STATE, CodecError, JointStateCodec, read_joint_state
 from ftcm_ros.transport.topics import (
@@ -59,6 +60,9 @@ class BagContents:
     """Time at which each message was published (system clock), ns, per data topic."""
     stamps: dict[str, npt.NDArray[np.int64]]
     """Stamp of each message, ns, per data topic."""
+    arrays: dict[str, list[npt.NDArray[np.float64] | None]]
+    """Position, velocity and effort of each message, of shape (messages, joints), per data topic; None where
+    they are not filled."""
     unusable: dict[str, int]
     """Messages left out, as they are no tick of this robot's run, per topic; empty if there are none."""
     runs: int = 1
@@ -66,9 +70,33 @@ class BagContents:
     recovered: str = ""
     """Of a bag that was not closed: what could be read, in one line."""
     damage: str = ""
-    """Of a closed bag that is not what it was: what has been left out, in one line."""
+    """Of a closed bag that is not what it was: what is not, in one line."""
     checked: bool = True
     """Whether the bag has checksums, so that damage would show."""
+    files: str = ""
+    """What does not fit of its files, where that is no damage, in one line: names, or that nothing tells."""
+
+    def warnings(self) -> list[str]:
+        """Return what whoever uses this has to know, each in one line."""
+        found = []
+        if self.runs > 1:
+            found.append(f"the bag holds {self.runs} runs; this is the last one")
+        if self.recovered:
+            found.append(f"bag was not closed; recovered: {self.recovered}")
+        if self.damage:
+            found.append(f"damaged: {self.damage}")
+        if self.unusable:
+            found.append(f"messages that are no tick left out: {self.unusable}")
+        if self.missing:
+            found.append(f"ticks missing in the bag: {self.missing}")
+        return found
+
+    def remarks(self) -> list[str]:
+        """Return what the bag cannot prove, each in one line."""
+        found = [self.files] if self.files else []
+        if not (self.checked or self.recovered or self.damage):
+            found.append("the bag has no checksums: damage would not show")
+        return found
 
 
 def read_bag(path: Path, scenario: Scenario | None = None) -> BagContents:
@@ -81,23 +109,30 @@ def read_bag(path: Path, scenario: Scenario | None = None) -> BagContents:
     Raises:
         FtcmError: there is no bag, it cannot be read, or it has not the topics; in one line.
     """
-    verdict = _verdict(path)
-    raw, published, damage = _read_messages(path, damaged=verdict == "damaged")
-    metadata = {} if damage and verdict != "damaged" else _custom_data(path)
+    closed = (path / "metadata.yaml").is_file()
+    verdict, files = _integrity(path)
+    digested = verdict == "whole" and any(file.suffix == ".db3" for file in files_of(path))
+    raw, published, trouble = _read_messages(
+        path,
+        "its checksums do not fit" if verdict == "damaged" else "",
+        by_index=not (digested or (closed and files.changed)),  # that of sqlite3 has no digest
+    )
+    changed = {name for name in files.changed if name != "metadata.yaml"}
+    proven = closed and (verdict != "unchecked" or (files.sealed and not changed))
+    cut = bool(trouble) and not proven
+    metadata = {} if cut else _custom_data(path)
     apart = (CHANGES.name, FAULTS.name, SCENARIO.name, DIAGNOSTICS.name.lstrip("/"))
     others = {name: raw.pop(name, []) for name in apart}
     if not raw.get(JOINT_STATES.name):
-        if damage:
-            raise FtcmError(
-                f"bag {str(path)!r} cannot be read: {damage.rstrip('.')}; nothing could be recovered"
-            )
+        if trouble or files.changed:
+            reason = trouble.rstrip(".") or files.note
+            raise FtcmError(f"bag {str(path)!r} cannot be read: {reason}; nothing could be recovered")
         raise FtcmError(
             f"bag {str(path)!r} has no messages on /{JOINT_STATES.name}; expected this suite's topics"
         )
     typestore = get_typestore(Stores.ROS2_JAZZY)
-    text = metadata.get("scenario") or next(
-        (typestore.deserialize_cdr(m, SCENARIO.type).data for m in others[SCENARIO.name]), None
-    )
+    texts = [typestore.deserialize_cdr(m, SCENARIO.type).data for m in others[SCENARIO.name][:1]]
+    text = (texts or [metadata.get("scenario")])[0]
     if scenario is None and text:
         scenario = _recorded_scenario(path, text)
     names = scenario.robot.joint_names if scenario else _joint_names(path, raw[JOINT_STATES.name][0])
@@ -116,8 +151,9 @@ def read_bag(path: Path, scenario: Scenario | None = None) -> BagContents:
         )
     runs = _keep_last_run(decoded, published)
     recovered = metadata.get("recovered", "")
-    if damage and verdict != "damaged":
+    if cut:
         recovered = _cut_ragged_end(decoded, published, scenario)
+        recovered += "" if files.sealed else "; nothing says what its files were (no SHA256SUMS)"
     stamps = np.unique(np.concatenate([times for times, _ in decoded.values()]))
     dt_ns = scenario.dt_ns if scenario else int(np.median(np.diff(stamps))) if len(stamps) > 1 else 1_000_000
     columns: dict[str, Any] = _columns(decoded, stamps, len(names), scenario)
@@ -136,10 +172,14 @@ def read_bag(path: Path, scenario: Scenario | None = None) -> BagContents:
     if scenario is not None:
         scenario, changes = _initial_components(scenario, changes, int(stamps[0]) // dt_ns)
     status, detail, ended_at = _status(scenario, nodes.get("plant", {}), int(stamps[-1]), dt_ns)
-    harm = ""
+    damage = ""
     if verdict == "damaged":
-        harm = _harm(decoded, scenario, stamps, dt_ns)
-        status, detail = "damaged", harm
+        damage = _harm(decoded, scenario, stamps, dt_ns)
+    elif not cut and (files.changed or (trouble and not files.sealed)):
+        damage = files.note if files.changed else trouble.rstrip(".")
+        damage += "; every message fits its checksum" if verdict == "whole" else ""
+    if damage:
+        status, detail = "damaged", damage
     stamps_of = {name: times for name, (times, _) in decoded.items()}
     trace = Trace(
         joint_names=names, dt=dt_ns / 1e9, time_ns=stamps, **columns,
@@ -148,24 +188,32 @@ def read_bag(path: Path, scenario: Scenario | None = None) -> BagContents:
         engine="graph",
     )  # fmt: skip
     return BagContents(
-        path, trace, missing, nodes, metadata, published, stamps_of, unusable, runs, recovered, harm,
-        verdict == "whole",
+        path, trace, missing, nodes, metadata, published, stamps_of,
+        {name: arrays for name, (_, arrays) in decoded.items()}, unusable, runs, recovered, damage,
+        verdict == "whole" or (files.sealed and not files.changed), "" if damage else files.note,
     )  # fmt: skip
 
 
-def _verdict(path: Path) -> str:
-    """Compare a closed bag with its checksums; ``unchecked`` where that is not possible.
+def _integrity(path: Path) -> tuple[str, Comparison]:
+    """Compare a bag with the checksums in its files, if it is closed, and with what says what those were.
+
+    Returns:
+        ``whole``, ``damaged``, or ``unchecked`` where that is not possible; and the other comparison.
 
     Raises:
         FtcmError: it cannot be read.
     """
-    if not (path / "metadata.yaml").is_file():
-        return "unchecked"
     try:
-        found = {verify(file) if file.suffix == ".mcap" else "unchecked" for file in files_of(path)}
+        files = compare(path)
+        if not (path / "metadata.yaml").is_file():
+            return "unchecked", files
+        found = {(checksums if f.suffix == ".mcap" else digests).verify(f) for f in files_of(path)}
     except OSError as error:
         raise FtcmError(f"bag {str(path)!r} cannot be read: {error.strerror or error}") from None
-    return "damaged" if "damaged" in found else "whole" if found == {"whole"} else "unchecked"
+    verdict = "damaged" if "damaged" in found else "whole" if found == {"whole"} else "unchecked"
+    if verdict == "whole" and not files.sealed:
+        files = files._replace(note="no SHA256SUMS: whether its files were exchanged is not known")
+    return verdict, files
 
 
 def _harm(
@@ -231,25 +279,33 @@ def _columns(
 
 
 def _read_messages(
-    path: Path, *, damaged: bool
+    path: Path, trouble: str, *, by_index: bool
 ) -> tuple[dict[str, list[bytes]], dict[str, npt.NDArray[np.int64]], str]:
-    """Return messages and times per topic, and what was wrong with a bag that had to be scanned."""
+    """Return messages and times per topic, and what was wrong with a bag that had to be scanned.
+
+    Args:
+        path: the bag.
+        trouble: what is known to be wrong with it.
+        by_index: whether to go by its index and metadata, if nothing is wrong.
+    """
     if not path.exists():
         raise FtcmError(f"no bag {str(path)!r}; expected the folder of a rosbag2 bag")
-    damage = "its checksums do not fit" if damaged else ""
     try:
-        if damaged:
-            raise ReaderError(damage)
-        with Reader(path) as reader:
-            wanted = [c for c in reader.connections if _name(c) in _WANTED]
-            raw, times = _by_topic(reader.messages(wanted) if wanted else ())
+        if trouble:
+            raise ReaderError(trouble)
+        if by_index:
+            with Reader(path) as reader:
+                wanted = [c for c in reader.connections if _name(c) in _WANTED]
+                raw, times = _by_topic(reader.messages(wanted) if wanted else ())
+        else:
+            raw, times = _by_topic(scan(path))
     except Exception as error:  # rosbags has many error types, none of them a programming mistake here
-        damage = " ".join(str(error).split()) or type(error).__name__
+        trouble = " ".join(str(error).split()) or type(error).__name__
         try:
             raw, times = _by_topic(scan(path))
         except OSError as again:
             raise FtcmError(f"bag {str(path)!r} cannot be read: {again.strerror or again}") from None
-    return raw, {k: np.array(v, dtype=np.int64) for k, v in times.items()}, damage
+    return raw, {k: np.array(v, dtype=np.int64) for k, v in times.items()}, trouble
 
 
 def _name(connection: Any) -> str:
@@ -304,8 +360,11 @@ def _custom_data(path: Path) -> dict[str, str]:
     file = path / "metadata.yaml"
     if not file.is_file():
         return {}
-    information = yaml.safe_load(file.read_text(encoding="utf-8"))["rosbag2_bagfile_information"]
-    return dict(information.get("custom_data") or {})
+    try:
+        information = yaml.safe_load(file.read_bytes())["rosbag2_bagfile_information"]
+        return dict(information.get("custom_data") or {})
+    except (yaml.YAMLError, ValueError, TypeError, LookupError, AttributeError):  # not what was written
+        return {}
 
 
 def _joint_names(path: Path, message: bytes) -> tuple[str, ...]:

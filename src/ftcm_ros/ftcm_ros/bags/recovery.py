@@ -20,8 +20,10 @@ from mcap.stream_reader import StreamReader, get_chunk_data_stream
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
 from ftcm_core.errors import FtcmError
+from ftcm_ros.bags import manifest
 from ftcm_ros.bags.checksums import MAGIC, verify_summary
-from ftcm_ros.bags.rosbags_internals import Sqlite3Reader, parse_qos
+from ftcm_ros.bags.digests import Row, batches, has_digests, unchanging
+from ftcm_ros.bags.rosbags_internals import parse_qos
 from ftcm_ros.bags.writer import new_bag, reason_of
 
 
@@ -38,8 +40,6 @@ class Origin(NamedTuple):
 
 Message = tuple[Origin, int, bytes]
 """Topic, time (ns) and serialized message."""
-
-_STORAGE = {".mcap": "mcap", ".db3": "sqlite3"}
 
 
 def scan(path: Path) -> Iterator[Message]:
@@ -71,7 +71,7 @@ def repair(path: Path, target: Path, note: str) -> int:
     typestore = get_typestore(Stores.ROS2_JAZZY)
     connections: dict[str, Any] = {}
     count = 0
-    writer = new_bag(target, _STORAGE[files_of(path)[0].suffix])
+    writer = new_bag(target, manifest.STORAGE_OF[files_of(path)[0].suffix])
     try:
         for found, when, data in scan(path):
             if found.topic not in connections:
@@ -87,6 +87,7 @@ def repair(path: Path, target: Path, note: str) -> int:
             count += 1
         writer.set_custom_data("recovered", note)
         writer.close()
+        manifest.write(target)
     except (OSError, sqlite3.Error) as error:
         raise FtcmError(f"bag {str(target)!r} cannot be written: {reason_of(error)}") from None
     return count
@@ -96,7 +97,7 @@ def files_of(path: Path) -> list[Path]:
     """Return the files of a bag that hold messages, in order."""
     if path.is_file():
         return [path]
-    found = [f for f in path.iterdir() if f.suffix in _STORAGE and f.is_file()]
+    found = [f for f in path.iterdir() if f.suffix in manifest.STORAGE_OF and f.is_file()]
     return sorted(found, key=lambda f: (len(f.name), f.name))  # a bag in parts: _9 before _10
 
 
@@ -190,38 +191,62 @@ def _origin(channel: Channel, schemas: dict[int, Schema]) -> Origin:
 
 
 def _scan_sqlite(file: Path) -> Iterator[Message]:
-    """In a copy, as a transaction that was under way has to be rolled back."""
+    """Yield the messages; of a bag that was not closed from a copy, to roll back what was under way."""
     with TemporaryDirectory() as folder:
         try:
-            reader = Sqlite3Reader(_consistent_copy(file, Path(folder)))
-            reader.open()
-        except OSError:
-            raise
-        except Exception:  # sqlite3, apsw and rosbags each have their own for a file that is not whole
+            closed = file.with_name("metadata.yaml").is_file()
+            with closing(unchanging(file) if closed else _consistent_copy(file, Path(folder))) as database:
+                origins = _topics(database)
+                for _, topic, when, data in _rows(database):
+                    if topic in origins and isinstance(when, int) and isinstance(data, bytes):
+                        yield origins[topic], when, data
+        except sqlite3.Error:  # no more can be read
             return
+
+
+def _rows(database: sqlite3.Connection) -> Iterator[Row]:
+    """Yield the messages of the batches that are as they were written; without digests, all there are.
+
+    Raises:
+        sqlite3.Error: the file is not whole.
+    """
+    order = "timestamp, id"
+    if has_digests(database):
         try:
-            origins = {
-                c.id: Origin(c.topic, c.msgtype, c.msgdef.data, c.ext.offered_qos_profiles)
-                for c in reader.connections
-            }
-            messages = reader.messages(reader.connections)
-            while (message := _next(messages)) is not None:
-                connection, when, data = message
-                if isinstance(when, int) and data is not None:  # else the row is damaged
-                    yield origins[connection.id], when, data
-        finally:
-            reader.close()
+            for rows in batches(database):
+                yield from rows or ()
+        except sqlite3.Error:  # the digests cannot be read
+            order = "id"
+        else:
+            return
+    yield from database.execute(f"SELECT id, topic_id, timestamp, data FROM messages ORDER BY {order}")
 
 
-def _next(messages: Iterator[Any]) -> Any:
-    """Return the next message; None at the end, or where the file is not whole."""
-    try:
-        return next(messages, None)
-    except Exception:
-        return None
+def _topics(database: sqlite3.Connection) -> dict[int, Origin]:
+    """Return the topics of a rosbag2 file by number; files of before Jazzy have no definitions.
+
+    Raises:
+        sqlite3.Error: they cannot be read.
+    """
+    definitions: dict[str, str] = {}
+    if database.execute("SELECT 1 FROM sqlite_master WHERE name = 'message_definitions'").fetchone():
+        definitions.update(
+            database.execute("SELECT topic_type, encoded_message_definition FROM message_definitions")
+        )
+    rows = database.execute("SELECT * FROM topics")
+    columns = [name for name, *_ in rows.description]
+    found = {}
+    for topic in (dict(zip(columns, row)) for row in rows):
+        try:
+            qos = parse_qos(topic.get("offered_qos_profiles", ""))
+        except Exception:  # rosbags has many errors for a text that is damaged
+            qos = []
+        definition = definitions.get(topic["type"], "")
+        found[topic["id"]] = Origin(topic["name"], topic["type"], definition, qos)
+    return found
 
 
-def _consistent_copy(file: Path, folder: Path) -> Path:
+def _consistent_copy(file: Path, folder: Path) -> sqlite3.Connection:
     copy = folder / "bag.db3"
     beside = [file.with_name(file.name + suffix) for suffix in ("", "-journal", "-wal")]
     if not beside[2].exists():
@@ -231,12 +256,10 @@ def _consistent_copy(file: Path, folder: Path) -> Path:
                 closing(sqlite3.connect(copy)) as target,
             ):
                 source.backup(target)  # also while a recorder is writing
-            return copy
+            return sqlite3.connect(copy)
         except sqlite3.OperationalError:  # a journal to roll back, which a reader may not
             copy.unlink(missing_ok=True)
     for part in beside:
         if part.exists():
             shutil.copyfile(part, folder / part.name.replace(file.name, copy.name, 1))
-    with closing(sqlite3.connect(copy)) as database:
-        database.execute("SELECT count(*) FROM messages")  # rolls back
-    return copy
+    return sqlite3.connect(copy)  # whoever reads first rolls back

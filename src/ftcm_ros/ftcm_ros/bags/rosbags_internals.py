@@ -8,25 +8,24 @@ rosbags promises none of this. Tests notice when a new version changes it; until
 * of mcap's storage, ``chunk.bio`` (the chunk being filled, in memory), ``close_chunk()`` (writes it to the
   file), ``bio`` (the file, to which a record is written as opcode, length and content), and ``chunks``: the
   list of index records, one per chunk. rosbags only appends to it, asks for its length and goes through it.
-* of sqlite3's storage, ``conn``: the connection to the database, with a transaction under way.
-* ``Sqlite3Reader``: ``open``, ``close``, ``connections`` and ``messages``, for a file without metadata.
+* of sqlite3's storage, ``conn``: the connection to the database, with a transaction under way; that ``write``
+  gives the messages numbers from 1, and ``close`` commits. The writer asks of it what ``StorageWriter`` says.
 * ``parse_qos``: qualities of service from the text in a bag.
 """
 
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Any
+from typing import Any, cast
 
 from rosbags.rosbag2 import Writer
 from rosbags.rosbag2.metadata import parse_qos
-from rosbags.rosbag2.storage_sqlite3 import Sqlite3Reader
 
 from ftcm_ros.bags.checksums import ChecksummedFile
+from ftcm_ros.bags.digests import DigestedStorage
 from ftcm_ros.bags.spool import Spool
 
 __all__ = [
-    "Sqlite3Reader",
     "add_checksums",
     "do_not_wait_for_the_disk",
     "flush",
@@ -47,12 +46,13 @@ def flush(writer: Writer) -> None:
         if storage.chunk.bio.tell():
             storage.close_chunk()
         storage.bio.flush()
-    elif hasattr(storage, "conn"):
+    elif isinstance(storage, DigestedStorage):
+        storage.end_batch()
         storage.conn.commit()
 
 
 def add_checksums(writer: Writer) -> None:
-    """Have an mcap file say what its chunks, its data and its summary were: rosbags leaves that out.
+    """Have a file tell whether it is whole: mcap its chunks, data and summary, sqlite3 its batches.
 
     Args:
         writer: of any storage, with nothing written to it yet.
@@ -61,6 +61,8 @@ def add_checksums(writer: Writer) -> None:
     if hasattr(storage, "close_chunk"):
         storage.bio.flush()
         storage.bio = ChecksummedFile(storage.bio, Path(storage.path).read_bytes())
+    elif hasattr(storage, "conn"):
+        writer.storage = cast(Any, DigestedStorage(storage))
 
 
 def keep_index_on_disk(writer: Writer, folder: Path) -> None:

@@ -20,6 +20,7 @@ from rosbags.typesys import Stores, get_typestore
 from ftcm_core.errors import FtcmError
 from ftcm_core.recording.provenance import provenance
 from ftcm_core.scenario import Scenario
+from ftcm_ros.bags import manifest
 from ftcm_ros.bags.rosbags_internals import add_checksums, do_not_wait_for_the_disk, flush, keep_index_on_disk
 from ftcm_ros.transport.codec import stamp_of
 from ftcm_ros.transport.topics import SCENARIO, Topic, data_topics, recorded_topics
@@ -196,7 +197,7 @@ class Recording:
         self._in_file = self.complete_to
 
     def close(self, extra: Mapping[str, Any] | None = None) -> None:
-        """Finish the bag with scenario, versions, seed and counts in its metadata.
+        """Finish the bag with scenario, versions, seed and counts in its metadata, then seal its files.
 
         Raises:
             FtcmError: as :meth:`write`.
@@ -210,6 +211,7 @@ class Recording:
             self._writer.set_custom_data(key, json.dumps(value))
         try:
             self._writer.close()
+            manifest.write(self.path)
         except (OSError, sqlite3.Error) as error:
             raise self._given_up(error) from None
 

@@ -103,6 +103,11 @@ def build_parser() -> argparse.ArgumentParser:
     parser.add_argument("--lock-memory", action="store_true", help="lock the nodes' memory")
     parser.add_argument("--processors", default="", help="processors for the nodes, e.g. 0,1; default: all")
     parser.add_argument("--no-figures", action="store_true", help="write the table only")
+    parser.add_argument(
+        "--replay",
+        action="store_true",
+        help="run what was recorded again, in process, and compare; a run that differs has failed",
+    )
     return parser
 
 

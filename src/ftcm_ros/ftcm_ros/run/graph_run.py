@@ -36,7 +36,9 @@ from ftcm_ros.transport.topics import DIAGNOSTICS
 STOP_SECONDS = 3.0
 """How long nodes may take to end their part of a run, s."""
 CLOSE_SECONDS = 15.0
-"""How long the recorder may take to close the bag, s."""
+"""How long the recorder may take to close the bag, s; besides, to read it again:"""
+BYTES_PER_SECOND = 50e6
+"""How much of the bag it reads in a second at least (chosen: a slow disk)."""
 REPORT_SECONDS = 1.0
 """How long the nodes' last reports may take to come, s."""
 MATCHING_ORDER = ("observer", "controller", "injector", "plant", "detector", "recorder")
@@ -233,7 +235,8 @@ class Run:
         """
         self.processes.resume()
         self._deactivate(("plant",), STOP_SECONDS)
-        self._deactivate(("recorder",), CLOSE_SECONDS)
+        size = sum(f.stat().st_size for f in self.bag.iterdir()) if self.bag.is_dir() else 0
+        self._deactivate(("recorder",), CLOSE_SECONDS + size / BYTES_PER_SECOND)
 
     def _hear_last_reports(self) -> None:
         """Take in what the nodes say of the whole run, which they do when it ends."""

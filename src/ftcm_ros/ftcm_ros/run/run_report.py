@@ -8,6 +8,7 @@ from pathlib import Path
 
 from ftcm_core.errors import FtcmError
 from ftcm_core.report.results import write_results
+from ftcm_ros.analysis.replay import Proof, prove, summarised
 from ftcm_ros.analysis.timing import hop_times, percentiles, timing_table, write_figure
 from ftcm_ros.bags.reader import BagContents, read_bag
 from ftcm_ros.run.graph_run import Run
@@ -30,24 +31,41 @@ def read_bags(runs: list[Run]) -> tuple[list[tuple[str, BagContents]], list[str]
             unreadable.append(f"{run.label}: {error}")
             continue
         found.append((run.label, bag))
-        if bag.recovered:
-            say(f"warning: {run.label}: bag was not closed; recovered: {bag.recovered}")
+        for line in bag.warnings():
+            say(f"warning: {run.label}: {line}")
+        for line in bag.remarks():
+            say(f"{run.label}: {line}")
         if bag.damage:
             unreadable.append(f"{run.label}: {bag.damage}")
-        if bag.unusable:
-            say(f"warning: {run.label}: messages that are no tick left out: {bag.unusable}")
-        if bag.missing:
-            say(f"warning: {run.label}: ticks missing in the bag: {bag.missing}")
         if bag.trace.status != "completed":
             say(f"{run.label}: {bag.trace.status}: {bag.trace.detail}")
     return found, unreadable
+
+
+def replayed(contents: list[tuple[str, BagContents]]) -> tuple[list[tuple[str, Proof]], list[str]]:
+    """Run what was recorded again.
+
+    Returns:
+        Label and proof of each bag, and why others are none.
+    """
+    proofs, unproved = [], []
+    for label, bag in contents:
+        try:
+            proof = prove(bag)
+        except FtcmError as error:
+            unproved.append(f"{label}: replay: {error}")
+            continue
+        proofs.append((label, proof))
+        if not proof.found.equal:
+            unproved.append(f"{label}: replay: {'; '.join(proof.lines)}")
+    return proofs, unproved
 
 
 def report(folder: Path, runs: list[Run], options: argparse.Namespace) -> list[str]:
     """Read the bags back and write table, figures and summary.
 
     Returns:
-        Why bags cannot be read.
+        Why bags cannot be read, or are not what they should be.
 
     Raises:
         FtcmError: the results cannot be written.
@@ -66,7 +84,11 @@ def report(folder: Path, runs: list[Run], options: argparse.Namespace) -> list[s
         "bags": {label: str(bag.path.relative_to(folder)) for label, bag in contents},
     }
     traces = [(label, bag.trace) for label, bag in contents]
-    write_results(folder, traces, extra, timing_table(contents), figures=not options.no_figures)
+    proofs, unproved = replayed(contents) if options.replay else ([], [])
+    if proofs:
+        extra["replay"] = {label: proof.to_mapping() for label, proof in proofs}
+    more = "\n".join(text for text in (timing_table(contents), summarised(proofs)) if text)
+    write_results(folder, traces, extra, more, figures=not options.no_figures)
     if not options.no_figures:
         write_figure(samples, folder / "figures" / "timing.png")
     print((folder / "table.md").read_text(encoding="utf-8").rstrip())
@@ -74,4 +96,4 @@ def report(folder: Path, runs: list[Run], options: argparse.Namespace) -> list[s
         if "verdict" in run.timing:
             say(f"{run.label}: {run.timing['verdict']}")
     say(f"results: {folder}/summary.json, table.md, figures/, bags/")
-    return unreadable
+    return unreadable + unproved
