@@ -106,9 +106,10 @@ def replay(record: Record, progress: Callable[[int, int], None] | None = None) -
     plant = ReplayedPlant(record, computed)
     answering = answering_stages(record, computed)
     changes = changes_at(record.changes)
+    stages: list[ReplayedPlant | AnsweringStage] = [plant, *answering]
     for k in range(record.ticks):
         for order in (change.component for change in changes.get(k, ()) if change.kind == "fault"):
-            for place in (plant, *answering):
+            for place in stages:
                 place.order(order.number, order.action, seconds(k * record.scenario.dt_ns))
         for stage in answering:
             for change in changes.get(k, ()):
@@ -121,7 +122,6 @@ def replay(record: Record, progress: Callable[[int, int], None] | None = None) -
             plant.finish(k)
         if progress and k % 1000 == 0:
             progress(k, last)
-    stages: list[ReplayedPlant | AnsweringStage] = [plant, *answering]
     found = [_finding(record, computed, s.name, s.outputs, s.undecided) for s in stages]
     return Replay(record, tuple(found), plant.held, plant.end)
 
