@@ -315,6 +315,7 @@ VARIANTS: dict[str, tuple[tuple[str, ...], bool, dict[str, str]]] = {
     "processes": (("--no-composed",), False, {MISSED: "≤ 3 × the bare chain"}),
     "processes, SCHED_FIFO": (("--no-composed", *FIFO), False, {MISSED: "less than without"}),
     "processes, one core kept busy": (("--no-composed",), True, {ERROR: "≤ 2"}),
+    "processes, SCHED_FIFO, one core kept busy": (("--no-composed", *FIFO), True, {}),
 }
 """Ways to run in real time: arguments of the experiment, whether a core is kept busy beside it, aims."""
 RATES = {"2 kHz": "dt=0.0005", "4 kHz": "dt=0.00025"}

@@ -60,6 +60,8 @@ def rules(name: str) -> dict[tuple[str, str], list[str]]:
         publish |= {f"/{name}/transition_event", *(_absolute(t.name) for t in TOPICS if name in t.publishers)}
         subscribe = {_absolute(t.name) for t in TOPICS if name in t.subscribers}
         reply |= {f"/{name}/{service}" for service in LIFECYCLE_SERVICES}
+    if name == "injector":
+        reply.add(f"/{name}/faults/*")  # one for each fault of the scenario
     return {
         ("topics", "publish"): sorted(publish),
         ("topics", "subscribe"): sorted(subscribe),

@@ -32,6 +32,7 @@ setup(
             "composed = ftcm_ros.nodes.composed:main",
             "experiment = ftcm_ros.run.experiment:main",
             "analyse = ftcm_ros.analysis.analyse:main",
+            "fault = ftcm_ros.run.fault:main",
         ]
     },
 )

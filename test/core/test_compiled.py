@@ -82,11 +82,16 @@ ONE_OF_EACH = {
     "friction": ("robot.viscous_friction=1", "robot.coulomb_friction=[1, 2, 3]"),
     "other model": ("model={mass: '+20 %'}", "robot.payload_mass=2"),
     "effectiveness": ("injection.faults=[{type: loss_of_effectiveness, start: 0.01}]",),
-    "overload": (
-        "injection.faults=[{type: loss_of_effectiveness, start: 0.01, overload: [90, 1, 1000]}]",
-        "torque_limits=100",
+    "condition": (
+        "injection.faults=[{type: loss_of_effectiveness, start: 0.01, lifetime: timed, duration: 0.01, "
+        "trigger: condition, trigger_signal: torque, trigger_joint: 2, trigger_above: 80}]",
     ),
-    "bias": ("injection.faults=[{type: sensor_bias, start: 0.01, drift: 0.1, walk: 0.01}]",),
+    "bias": ("injection.faults=[{type: sensor_bias, start: 0.01, joint: 2}]",),
+    "drift": ("injection.faults=[{type: sensor_drift, start: 0.01, drift: 0.1, walk: 0.01}]",),
+    **{
+        profile: (f"injection.faults=[{{type: sensor_bias, start: 0.01, profile: {profile}, period: 0.02}}]",)
+        for profile in ("ramp", "periodic", "intermittent", "one_shot")
+    },
     "bias on an encoder": (
         "injection.faults=[{type: sensor_bias, start: 0.01, profile: incipient}]",
         "sensor={type: encoder, noise: 0.0001}",
@@ -96,8 +101,6 @@ ONE_OF_EACH = {
         for topic in TOPICS
     },
 }
-
-
 
 
 def together(variants, most=5):

@@ -27,6 +27,9 @@ pytestmark = pytest.mark.slow
 
 FEW_TICKS = ["duration=0.3", "transient=0.1", "injection.faults.0.start=0.2"]
 """Those of test_compiled.py, whose code for each law is found here."""
+OVERLOADED = {
+    "trigger": "condition", "trigger_signal": "torque", "trigger_joint": 2, "trigger_above": 50.0,
+}  # fmt: skip
 KINDS = ("plant", "observer", "controller", "injector", "detector")
 FAULTY = {
     **EVERYTHING,
@@ -34,8 +37,9 @@ FAULTY = {
         "disturbances": ["vo_kang_friction"],
         "faults": [
             {"type": "vo_kang_fault", "start": 0.1},
-            {"type": "loss_of_effectiveness", "start": 0.08, "loss": [0.0, 0.3, 0.2], "overload": 50.0},
-            {"type": "sensor_bias", "start": 0.06, "bias": 0.002, "walk": 0.001},
+            {"type": "loss_of_effectiveness", "start": 0.08, "loss": [0.0, 0.3, 0.2], **OVERLOADED},
+            {"type": "sensor_bias", "start": 0.06, "bias": 0.002},
+            {"type": "sensor_drift", "start": 0.06, "drift": 0.0, "walk": 0.001},
             {"type": "payload_pickup", "start": 0.15, "mass": 1.0},
             {"type": "dropped_messages", "topic": "joint_torques", "probability": 0.05},
         ],

@@ -12,8 +12,10 @@ import pytest
 
 from ftcm_core.disturbances import Disturbance
 from ftcm_core.disturbances.vo_kang_friction import VoKangFriction
-from ftcm_core.faults import time_profile
+from ftcm_core.faults import AdditiveFault
+from ftcm_core.faults.timing import NEVER
 from ftcm_core.faults.vo_kang_fault import VoKangFault
+from ftcm_core.robots.puma560 import Puma560
 from ftcm_core.scenario import load, replace
 from ftcm_core.signals import TrueDisturbance, Vector
 from ftcm_core.simulation import simulate
@@ -21,6 +23,12 @@ from ftcm_core.simulation.stages import InjectorStage
 
 ZERO = (0.0, 0.0, 0.0)
 PI = math.pi
+PUMA = Puma560()
+
+
+def torque(fault: AdditiveFault, t: float, q: Vector, v: Vector, u: Vector) -> Vector:
+    """What an additive fault without memory adds, N·m."""
+    return fault.step(PUMA, t, q, v, u, fault.init(3, 0.0))[0]
 
 
 @pytest.mark.parametrize(
@@ -57,7 +65,7 @@ def test_friction_takes_per_joint_and_single_gains() -> None:
 )  # fmt: skip
 def test_fault_torque(t: float, q: Vector, v: Vector, u: Vector, omega: Vector) -> None:
     """Eq 47, abrupt at 10 s; on joint 2 it is a share of the command there."""
-    assert VoKangFault().torque(t, q, v, u) == pytest.approx(omega, rel=1e-13, abs=1e-13)
+    assert torque(VoKangFault(), t, q, v, u) == pytest.approx(omega, rel=1e-13, abs=1e-13)
 
 
 @pytest.mark.parametrize(
@@ -75,29 +83,29 @@ def test_fault_torque(t: float, q: Vector, v: Vector, u: Vector, omega: Vector) 
 def test_time_profile(t: float, profile: str, rate: float, psi: float) -> None:
     """Eq 4: nothing at t = T_f itself; then 1, or 1 - e^(-ν(t-T_f))."""
     fault = VoKangFault(start=10.0, profile=profile, rate=rate)
-    assert time_profile(t, 10.0, fault.evolution) == pytest.approx(psi, rel=1e-14, abs=0.0)
-    assert fault.size(t) == pytest.approx(psi, rel=1e-14, abs=0.0)
+    assert fault.size(t, 10.0, NEVER, 0.0) == pytest.approx(psi, rel=1e-14, abs=0.0)
 
 
 def test_profile_and_severity_scale_the_whole_fault() -> None:
     """ψ times severity times eq 47."""
     state = (12.0, (0.3, -0.4, 0.7), (0.5, -0.6, 0.8), (10.0, 20.0, 30.0))
-    whole = np.array(VoKangFault().torque(*state))
+    whole = np.array(torque(VoKangFault(), *state))
     assert np.abs(whole).min() > 0.5
-    part = VoKangFault(profile="incipient", rate=math.log(2.0) / 2.0, severity=3.0).torque(*state)
+    part = torque(VoKangFault(profile="incipient", rate=math.log(2.0) / 2.0, severity=3.0), *state)
     assert part == pytest.approx(1.5 * whole, rel=1e-14)
 
 
 def test_injector_adds_all_sources_for_the_command() -> None:
     """Limits and delay are the drive's: what the injector adds depends on the command as it is."""
     t_ns, q, v, u = 14_137_166_941, (0.3, -0.4, 0.7), (0.5, -0.6, 0.8), (1.0, 1000.0, 2.0)
-    sources = (VoKangFriction(), VoKangFault(), VoKangFault(severity=2.0))
-    free = replace(load("paper"), disturbances=sources[:1], faults=sources[1:])
+    friction, faults = VoKangFriction(), (VoKangFault(), VoKangFault(severity=2.0))
+    free = replace(load("paper"), disturbances=(friction,), faults=faults)
     limited = replace(free, torque_limits=50.0, torque_rate_limits=10.0, torque_delay=3)
     found = InjectorStage(free).step(t_ns, q, v, u)
     assert found == InjectorStage(limited).step(t_ns, q, v, u)
     assert isinstance(found, TrueDisturbance)
-    alone = [s.torque(t_ns / 1e9, q, v, u) for s in sources]
+    t = t_ns / 1e9
+    alone = [friction.torque(t, q, v, u), *(torque(fault, t, q, v, u) for fault in faults)]
     assert found.torque == pytest.approx(np.sum(alone, axis=0), rel=1e-14)
     less = InjectorStage(free).step(t_ns, q, v, (1.0, 50.0, 2.0))
     assert found.torque[1] - less.torque[1] == pytest.approx(
@@ -134,7 +142,7 @@ def test_injector_gives_every_source_its_own_stream_and_keeps_its_state() -> Non
     assert keys[:2] == keys[2:]
     assert keys[0] != keys[1]
     other = InjectorStage(replace(scenario, seed=1))
-    assert [state[0] for state in other.state] != keys[:2]
+    assert [state[0] for state in other.state.disturbances] != keys[:2]
 
 
 def test_fault_begins_the_tick_after_its_onset() -> None:

@@ -9,6 +9,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from ftcm_core.robots.puma560 import Puma560
+
 sys.path.insert(0, str(Path(__file__).parents[1] / "reference"))
 import puma560_matrix as links
 import puma560_refit
@@ -64,7 +66,24 @@ class Oracle:
             mujoco.mj_mulM(self.model, self.data, column, unit)
         return columns.T
 
+    def tip_torque(self, q: np.ndarray, force: np.ndarray, distance: float) -> np.ndarray:
+        """Jᵀ F, N·m, at a distance (m) from the centre of the wrist along the axis of the hand."""
+        self.data.qpos, self.data.qvel = q, np.zeros(3)
+        mujoco.mj_forward(self.model, self.data)
+        hand, jacobian = self.model.nbody - 1, np.zeros((3, 3))
+        tip = self.data.xpos[hand] + self.data.xmat[hand].reshape(3, 3) @ [0.0, 0.0, distance]
+        mujoco.mj_jac(self.model, self.data, jacobian, None, tip, hand)
+        return jacobian.T @ force
+
 
 def test_closed_form_is_mujocos_dynamics() -> None:
     """Same structure; with the constants refitted, the same torques and accelerations."""
     puma560_refit.check(Oracle())
+
+
+def test_a_force_at_the_tip_is_mujocos() -> None:
+    """The Jacobian of the tip, transposed, at 50 positions."""
+    robot, oracle = Puma560(payload_distance=0.3), Oracle()
+    for q, force in np.random.default_rng(7).uniform(-np.pi, np.pi, (50, 2, 3)):
+        torque = robot.tip_torque(tuple(q.tolist()), tuple(force.tolist()))
+        assert torque == pytest.approx(oracle.tip_torque(q, force, 0.3), abs=1e-12)

@@ -54,6 +54,13 @@ class Oracle:
         """Generalised gravity, N·m."""
         return pin.computeGeneralizedGravity(self.model, self.data, q).copy()
 
+    def tip_torque(self, q: np.ndarray, force: np.ndarray, distance: float) -> np.ndarray:
+        """Jᵀ F, N·m, at a distance (m) from the centre of the wrist along the axis of the hand."""
+        hand = self.model.getFrameId("joint6")
+        jacobian = pin.computeFrameJacobian(self.model, self.data, q, hand, pin.LOCAL_WORLD_ALIGNED)
+        lever = pin.updateFramePlacement(self.model, self.data, hand).rotation @ [0.0, 0.0, distance]
+        return jacobian.T @ np.concatenate([force, np.cross(lever, force)])
+
 
 class Oracle3:
     """Three links from the robot's own parameters, the payload a point mass in the frame of the hand."""
@@ -138,6 +145,14 @@ def physical(coefficients: dict[str, float]) -> dict[str, float]:
 def test_closed_form_is_recursive_newton_euler() -> None:
     """Same structure; with the coefficients refitted, the same torques and accelerations."""
     puma560_refit.check(Oracle())
+
+
+def test_a_force_at_the_tip_is_pinocchios() -> None:
+    """The Jacobian of the tip, transposed, at 50 positions."""
+    robot, oracle = Puma560(payload_distance=0.3), Oracle()
+    for q, force in np.random.default_rng(7).uniform(-np.pi, np.pi, (50, 2, 3)):
+        torque = robot.tip_torque(tuple(q.tolist()), tuple(force.tolist()))
+        assert torque == pytest.approx(oracle.tip_torque(q, force, 0.3), abs=1e-12)
 
 
 def test_printed_constants_are_near_the_link_data() -> None:

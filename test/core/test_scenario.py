@@ -77,7 +77,7 @@ def test_file_is_read_with_defaults(tmp_path: Path) -> None:
     assert (scenario.name, scenario.dt, scenario.duration, scenario.seed) == ("mine", 0.001, 1.0, 0)
     assert scenario.controller == FTCM()
     assert scenario.observer.values == {"k1": 20000.0, "k2": 200.0}
-    assert (scenario.limits, scenario.first_fault, scenario.transient) == (Limits(), 10.0, 1.0)
+    assert (scenario.limits, scenario.transient) == (Limits(), 1.0)
     assert (scenario.dt_ns, scenario.last_tick) == (1_000_000, 1000)
 
 
@@ -222,7 +222,8 @@ def test_written_scenario_has_every_default() -> None:
         ("      start: 10", "      start: -1", ":11: injection.faults.0.start: -1 is out of range"),
         ("      start: 10", "      begin: 10", ":11: injection.faults.0.begin: unknown key"),
         ("      start: 10", "      profile: abrubt",
-         ":11: injection.faults.0.profile: 'abrubt' is not one of abrupt, incipient; did you mean 'abrupt'?"),
+         ":11: injection.faults.0.profile: 'abrubt' is not one of abrupt, incipient, ramp, periodic, "
+         "intermittent, one_shot; did you mean 'abrupt'?"),
         ("type: vo_kang_fault", "type: vo_kang_friction",
          ":10: injection.faults.0.type: no fault 'vo_kang_friction'; did you mean 'vo_kang_fault'?"),
         ("{type: vo_kang_friction}", "{type: vo_kang_friction, a: [1]}", ":8: injection.disturbances.0.a: "),

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from ftcm_core.disturbances import Disturbance
-from ftcm_core.faults import ActuatorFault
+from ftcm_core.faults import ActuatorFault, Moment
 from ftcm_core.limits import Limits
 from ftcm_core.random_streams import gaussian, stream_key, uniform
 from ftcm_core.recording.metrics import evaluate
@@ -22,6 +22,7 @@ from ftcm_core.sensors.ideal import Ideal
 from ftcm_core.signals import COLUMNS, TrueDisturbance, Vector
 from ftcm_core.simulation import simulate
 from ftcm_core.simulation.drive import Drive
+from ftcm_core.simulation.fault_chain import FaultChain
 from ftcm_core.simulation.stages import InjectorStage, PlantStage
 from traces import same
 
@@ -176,14 +177,15 @@ def test_observer_and_controller_get_what_is_measured() -> None:
 
 def test_delay_line() -> None:
     """Zeros, then what was put in, in order; the drive reports what it applies."""
-    drive = Drive(Limits(), 2, (), (), DT)
+    none = FaultChain(load("paper"), ActuatorFault)
+    drive = Drive(Limits(), 2, none, DT)
     state, applied = drive.init(1), []
     for n in range(1, 6):
         torque, state = drive.step(0.0, (float(n),), (0.0,), (0.0,), state)
         assert state.effort == torque
         applied.append(torque)
     assert applied == [(0.0,), (0.0,), (1.0,), (2.0,), (3.0,)]
-    undelayed = Drive(Limits(), 0, (), (), DT)
+    undelayed = Drive(Limits(), 0, none, DT)
     assert undelayed.step(0.0, (7.0,), (0.0,), (0.0,), undelayed.init(1))[0] == (7.0,)
 
 
@@ -199,7 +201,7 @@ def test_effort_is_the_delayed_command(ticks: int) -> None:
 def test_disturbances_see_the_command_actuator_faults_the_torque_that_acts() -> None:
     """The injector's u is the command; delay and limits are the drive's, its faults come after them."""
     seen: list[Vector] = []
-    acted: list[Vector] = []
+    acted: list[float] = []
 
     @dataclass(frozen=True, kw_only=True)
     class Spy(Disturbance):
@@ -211,18 +213,19 @@ def test_disturbances_see_the_command_actuator_faults_the_torque_that_acts() -> 
     class Shorted(ActuatorFault):
         type_name: ClassVar[str] = "shorted"
 
-        def step(self, t: float, dt: float, torque: Vector, q: Vector, v: Vector, state: Any) -> Any:
+        @staticmethod
+        def act(p: Any, size: float, now: Moment, torque: float, q: float, v: float, s: Vector) -> Any:
             acted.append(torque)
-            return ZERO, state
+            return 0.0, s
 
     scenario = load("paper", ["torque_limits=1.5", "torque_delay=1"])
-    scenario = replace(scenario, disturbances=(Spy(),), faults=(Shorted(),))
+    scenario = replace(scenario, disturbances=(Spy(),), faults=(Shorted(start=0.0),))
     injector, plant = InjectorStage(scenario), PlantStage(scenario)
     for k, n in enumerate((1.0, 2.0, 3.0)):
         d = injector.step(k * 1_000_000, Q, V, (n,) * 3)
         plant.step(k * 1_000_000, (n,) * 3, d)
     assert seen == [(1.0,) * 3, (2.0,) * 3, (3.0,) * 3]
-    assert acted == [ZERO, (1.0,) * 3, (1.5,) * 3]
+    assert acted == [1.0] * 3 + [1.5] * 3, "from the first tick after its onset"
     assert plant.measure().effort == (1.5,) * 3
     assert plant.state.joint_torque == ZERO
 

@@ -26,11 +26,14 @@ pytestmark = pytest.mark.ros
 DROPPED = ("joint_torques", "joint_states", "disturbance_estimate", "disturbance")
 FAULTS: list[dict[str, Any]] = [
     {"type": "vo_kang_fault", "start": 0.3},
-    {"type": "loss_of_effectiveness", "start": 0.25, "loss": [0.0, 0.3, 0.2], "overload": 50.0},
-    {"type": "sensor_bias", "start": 0.2, "bias": 0.002, "walk": 0.001, "drift": 0.001},
-    {"type": "payload_pickup", "start": 0.5, "mass": 1.0},
+    {"type": "loss_of_effectiveness", "start": 0.25, "loss": [0.0, 0.3, 0.2], "trigger": "condition",
+     "trigger_signal": "torque", "trigger_joint": 2, "trigger_above": 50.0},
+    {"type": "sensor_bias", "start": 0.2, "bias": 0.002, "joint": 2, "profile": "intermittent",
+     "period": 0.01},
+    {"type": "sensor_drift", "start": 0.2, "walk": 0.001, "drift": 0.001, "profile": "ramp"},
+    {"type": "payload_pickup", "start": 0.5, "mass": 1.0, "lifetime": "timed", "duration": 0.1},
     *({"type": "dropped_messages", "start": 0.1, "topic": t, "probability": 0.05} for t in DROPPED),
-]
+]  # fmt: skip
 FAULTY = {**EVERYTHING, "injection": {"disturbances": ["vo_kang_friction"], "faults": FAULTS}}
 
 

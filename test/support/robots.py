@@ -61,6 +61,11 @@ class Pendulum(Robot):
         """Acceleration of a torque by itself, rad/s²."""
         return (tau[0] / self._inertia(),)
 
+    def tip_torque(self, q: Vector, force: Vector) -> Vector:
+        """Jᵀ F, N·m: it hangs along -z at q = 0 and swings towards x."""
+        (length,) = per_joint(self.length, 1)
+        return (length * (math.cos(q[0]) * force[0] + math.sin(q[0]) * force[2]),)
+
 
 @register("robot", "planar_arm")
 class PlanarArm(Robot):
@@ -108,6 +113,12 @@ class PlanarArm(Robot):
         t2 = tau[1] - s * v[0] * v[0] - g2
         determinant = m11 * m22 - m12 * m12
         return (m22 * t1 - m12 * t2) / determinant, (m11 * t2 - m12 * t1) / determinant
+
+    def tip_torque(self, q: Vector, force: Vector) -> Vector:
+        """Jᵀ F, N·m: it lies along x at q = 0, z is upwards."""
+        l1, l2 = per_joint(self.length, 2)
+        outer = l2 * (math.cos(q[0] + q[1]) * force[2] - math.sin(q[0] + q[1]) * force[0])
+        return l1 * (math.cos(q[0]) * force[2] - math.sin(q[0]) * force[0]) + outer, outer
 
 
 ALPHA = (0.0, -math.pi / 2, 0.0, math.pi / 2, -math.pi / 2, math.pi / 2)

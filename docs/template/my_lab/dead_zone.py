@@ -1,7 +1,7 @@
 """A fault of an actuator: small torques do not reach the joint."""
 
 from ftcm_core.faults import ActuatorFault, scaled
-from ftcm_core.params import joint_parameters, param
+from ftcm_core.params import param
 from ftcm_core.registry import register
 
 
@@ -13,11 +13,10 @@ class DeadZone(ActuatorFault):
         1.0, unit="N·m", at_least=0.0, per_joint=True, doc="torque that gets lost", source="chosen"
     )
 
-    def step(self, t, dt, torque, q, v, state):
-        """Take from each joint's torque what the dead zone swallows."""
-        psi = self.size(t)
-        parameters = joint_parameters(self, len(torque))
-        return tuple([x - swallowed(x, scaled(psi, p.width)) for p, x in zip(parameters, torque)]), state
+    @staticmethod
+    def act(p, size, now, torque, q, v, s):
+        """Take from the torque what the dead zone swallows."""
+        return torque - swallowed(torque, scaled(size, p.width)), s
 
 
 def swallowed(torque: float, width: float) -> float:

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The command line: ``ftcm simulate``, ``compare``, ``reproduce``, ``campaign``, ``list``, ``describe``.
+"""The command line ``ftcm``: ``simulate``, ``compare``, ``reproduce``, ``campaign``, ``suite``, ``list``, ...
 
 Results go to stdout, warnings, progress and errors to stderr. Exit status: 0 done (a run that diverges is a
 result), 1 the machine failed (disk, memory), 2 a mistake in what was asked, 130 interrupted.
@@ -19,6 +19,7 @@ from ftcm_core import campaign
 from ftcm_core.cli.listing import describe_command, list_command
 from ftcm_core.cli.output import drop_stdout, fail
 from ftcm_core.cli.runs import campaign_command, compare_command, reproduce_command, simulate_command
+from ftcm_core.cli.suites import add_arguments, suite_command
 from ftcm_core.errors import FtcmError
 from ftcm_core.registry import KINDS, load_plugins
 
@@ -149,6 +150,14 @@ def _parser() -> argparse.ArgumentParser:
     )  # fmt: skip
     sub.add_argument("--json", action="store_true", help="print the summary as one JSON object")
     sub.add_argument("--output", metavar="DIR", help="write every run and the summary to a new folder")
+
+    sub = command(
+        "suite",
+        suite_command,
+        "run every fault of the library against several laws, in parallel, and compare",
+        "ftcm suite faults --controllers smc nftsmc ftcm --joints 1 2 3 --conditions ideal encoder",
+    )
+    add_arguments(sub)
 
     sub = command("list", list_command, "list scenarios and components", "ftcm list controller")
     sub.add_argument("kind", nargs="?", metavar="KIND", help=f"one of scenario, {', '.join(KINDS)}")

@@ -140,6 +140,7 @@ def write(loop: Loop) -> tuple[Tracer, str]:
         NotCompilable: with the reason.
     """
     tracer = Tracer()
+    require_foreseen(loop.plant)
     state = state_of(loop)
     count = sum(1 for _ in numbers(state))
     tick_lines = tracer.lines_of(lambda: _tick(tracer, loop, state))
@@ -167,6 +168,12 @@ def write(loop: Loop) -> tuple[Tracer, str]:
         "    return k",
     ]
     return tracer, module_of(tracer, lines)
+
+
+def require_foreseen(plant: Any) -> None:
+    """Raise NotCompilable for a plant whose robot changes at a time that is not known from the start."""
+    if not plant.foreseen:
+        raise NotCompilable("a fault changes the robot at a time that is not known from the start")
 
 
 def reading(tracer: Tracer) -> list[str]:

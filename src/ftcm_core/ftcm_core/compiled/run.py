@@ -83,6 +83,8 @@ def simulate(scenario: Scenario) -> Trace:
 
         more["accelerations"] = accelerations
     ended = loop.ended(k * dt_ns, reason)
+    loop.look_at_faults(k * dt_ns)
+    more["fault_events"] = tuple(loop.fault_events)
     return to_trace(scenario, rows[:recorded].ravel(), *ended, engine="compiled", **more)
 
 

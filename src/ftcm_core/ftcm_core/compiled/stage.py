@@ -15,7 +15,15 @@ from typing import Any
 
 import numpy as np
 
-from ftcm_core.compiled.program import compiled, following, indented, module_of, parameters_of, reading
+from ftcm_core.compiled.program import (
+    compiled,
+    following,
+    indented,
+    module_of,
+    parameters_of,
+    reading,
+    require_foreseen,
+)
 from ftcm_core.compiled.run import require_numba
 from ftcm_core.compiled.tracing import (
     Holder,
@@ -131,6 +139,7 @@ def _step(tracer: Tracer, kind: str, stage: Any, joints: int, found: list[Any]) 
         alarms = run.step(y, *taken(2))
         given(*alarms)
     else:
+        require_foreseen(stage)
         run.changes = ()  # the ticks in which the robot changes are not run by the source
         u, d = taken(2)
         run.step(time_ns, u, TrueDisturbance(d))
@@ -203,6 +212,16 @@ class CompiledStage:
         self.give_back()
         self.stage.swap(component)
         self._use(program)
+
+    def order(self, number: int, action: str, t: float) -> None:
+        """Arm or clear a fault by hand, as the stage does."""
+        self.give_back()
+        self.stage.order(number, action, t)
+
+    def phases(self) -> Any:
+        """From when to when faults act, as of the stage."""
+        self.give_back()
+        return self.stage.phases()
 
     def _split(self, found: list[float]) -> list[Vector]:
         n = self.joints

@@ -3,7 +3,7 @@
 
 from __future__ import annotations
 
-from ftcm_core.faults import RobotFault
+from ftcm_core.faults import Fault, RobotFault
 from ftcm_core.params import param
 from ftcm_core.registry import register
 from ftcm_core.robots import Robot
@@ -11,7 +11,7 @@ from ftcm_core.robots import Robot
 
 @register("fault", "payload_pickup")
 class PayloadPickup(RobotFault):
-    """Payload picked up: payload mass = what it was + mass for t > T_f, without impact."""
+    """Payload picked up: payload mass = what it was + mass while it acts, without impact."""
 
     mass: float = param(
         2.0, unit="kg", at_least=0.0, doc="mass that is picked up", source="chosen: the PUMA lifts 2.5 kg"
@@ -23,4 +23,6 @@ class PayloadPickup(RobotFault):
 
     def unsuited(self, robot: Robot) -> str:
         """A robot without the parameter ``payload_mass`` cannot pick anything up."""
-        return "" if robot.loaded(0.0) else "needs a robot with the parameter payload_mass"
+        if not robot.loaded(0.0):
+            return "needs a robot with the parameter payload_mass"
+        return Fault.unsuited(self, robot)

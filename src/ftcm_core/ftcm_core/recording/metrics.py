@@ -35,8 +35,8 @@ def windows(trace: Trace) -> dict[str, slice | None]:
         return int(np.searchsorted(trace.time_ns, min(t * 1e9, 2.0**62)))
 
     settled = row(scenario.transient if scenario else 1.0)
-    onset = scenario.first_fault if scenario else None
-    fault = row(onset) if onset is not None else last
+    intervals = trace.fault_intervals
+    fault = row(intervals[0].onset) if intervals else last
     found = {
         "whole": slice(0, last),
         "transient": slice(0, settled),

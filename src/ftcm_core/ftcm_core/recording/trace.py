@@ -9,12 +9,13 @@ from __future__ import annotations
 import dataclasses
 from collections.abc import Callable
 from functools import cached_property
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
 
 from ftcm_core.controllers import Controller
+from ftcm_core.faults.timing import NEVER
 from ftcm_core.robots import Robot
 from ftcm_core.scenario import Scenario
 from ftcm_core.signals import COLUMNS
@@ -31,8 +32,44 @@ class Change:
 
     tick: int
     kind: str
-    """``controller``, ``observer`` or ``detector``."""
+    """``controller``, ``observer`` or ``detector``; ``fault`` for an order by hand."""
     component: Any
+    """The component, or a :class:`FaultOrder`."""
+
+
+@dataclasses.dataclass(frozen=True)
+class FaultOrder:
+    """An order by hand, in the place of a :class:`Change`'s component: arm or clear a fault."""
+
+    number: int
+    """Place of the fault in the scenario's list."""
+    action: str
+    """``arm`` or ``clear``."""
+
+    def to_mapping(self) -> dict[str, Any]:
+        """Return it as plain data."""
+        return {"number": self.number, "action": self.action}
+
+
+class FaultEvent(NamedTuple):
+    """From when to when a fault acts, as decided in a tick: by an order, or by a condition that was met."""
+
+    tick: int
+    number: int
+    """Place of the fault in the scenario's list."""
+    onset: float
+    """It acts at t > onset, s."""
+    end: float
+    """It acts at t <= end, s; :data:`~ftcm_core.faults.timing.NEVER` where it does not end."""
+
+
+class FaultInterval(NamedTuple):
+    """Ground truth: a fault acts at onset < t <= end, s."""
+
+    number: int
+    """Place of the fault in the scenario's list."""
+    onset: float
+    end: float
 
 
 @dataclasses.dataclass(frozen=True)
@@ -71,6 +108,8 @@ class Trace:
     ended_at: float | None = None
     """When a run ended early, s."""
     changes: tuple[Change, ...] = ()
+    fault_events: tuple[FaultEvent, ...] = ()
+    """What was decided of faults while the run was on, in the order of time."""
     engine: str = "plain"
     """How it was run: ``plain``, ``compiled``, or ``graph`` for one that was recorded."""
     accelerations: Callable[[Array, Array], Array] | None = None
@@ -106,6 +145,21 @@ class Trace:
     def model(self) -> Robot | None:
         """What observer and controller believe of the robot, if the run says so."""
         return self.scenario.model if self.scenario else None
+
+    @cached_property
+    def fault_intervals(self) -> tuple[FaultInterval, ...]:
+        """From when to when each fault acts, by onset: as planned, and as decided while the run was on."""
+        if self.scenario is None:
+            return ()
+        now = {number: fault.planned() for number, fault in enumerate(self.scenario.faults)}
+        found = []
+        for event in self.fault_events:
+            onset, end = now[event.number]
+            if onset < event.onset < NEVER:  # armed again: what there was is over
+                found.append(FaultInterval(event.number, onset, min(end, event.onset)))
+            now[event.number] = (event.onset, event.end)
+        found += [FaultInterval(number, *phase) for number, phase in now.items()]
+        return tuple(sorted((x for x in found if x.onset < min(x.end, NEVER)), key=lambda x: x.onset))
 
     def controllers(self) -> list[tuple[int, int, Controller]]:
         """Return the controllers in force as (first row, row after the last, controller)."""

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 
 from ftcm_core.errors import FtcmError
-from ftcm_core.recording.trace import Change, Trace
+from ftcm_core.recording.trace import Change, FaultEvent, FaultOrder, Trace
 from ftcm_core.registry import find
 from ftcm_core.scenario import from_mapping
 from ftcm_core.signals import COLUMNS
@@ -31,6 +31,7 @@ def save_trace(path: Path, trace: Trace) -> None:
         "changes": [
             {"tick": c.tick, "kind": c.kind, "component": c.component.to_mapping()} for c in trace.changes
         ],
+        "fault_events": trace.fault_events,
     }
     columns: dict[str, Any] = trace.columns
     np.savez_compressed(path, about=np.array(json.dumps(about)), time_ns=trace.time_ns, **columns)
@@ -56,7 +57,11 @@ def load_trace(path: Path) -> Trace:
     changes = []
     for change in about["changes"]:
         parameters = dict(change["component"])
-        component = find(change["kind"], parameters.pop("type"))(**parameters)
+        component: Any
+        if change["kind"] == "fault":
+            component = FaultOrder(**parameters)
+        else:
+            component = find(change["kind"], parameters.pop("type"))(**parameters)
         changes.append(Change(change["tick"], change["kind"], component))
     return Trace(
         joint_names=tuple(about["joint_names"]),
@@ -69,4 +74,5 @@ def load_trace(path: Path) -> Trace:
         ended_at=about.get("ended_at"),
         engine=about.get("engine", "plain"),
         changes=tuple(changes),
+        fault_events=tuple([FaultEvent(*event) for event in about.get("fault_events", ())]),
     )

@@ -189,10 +189,24 @@ def wider(first: float, last: float) -> tuple[float, float]:
 
 
 def _mark_faults(ax: Axes, traces: Sequence[Trace]) -> None:
+    """Ground truth: a line where a fault begins, with its name, and grey up to where one of them ends."""
     first, last = ax.get_xlim()
-    for onset in sorted({f.start for t in traces if t.scenario for f in t.scenario.faults}):
-        if first <= onset < last:
-            ax.axvline(onset, color="0.35", linewidth=0.9, linestyle=(0, (2, 2)), zorder=2.5, label=_ONSET)
+    names: dict[float, dict[str, None]] = {}
+    spans = set()
+    for trace in traces:
+        for number, onset, end in trace.fault_intervals:
+            if trace.scenario is not None and first <= onset < last:
+                names.setdefault(onset, {})[trace.scenario.fault_labels[number]] = None
+                if end < last:
+                    spans.add((onset, end))
+    for onset, end in sorted(spans):
+        ax.axvspan(onset, end, color="0.5", alpha=0.12, linewidth=0.0, zorder=0.5)
+    for onset, labels in sorted(names.items()):
+        ax.axvline(onset, color="0.35", linewidth=0.9, linestyle=(0, (2, 2)), zorder=2.5, label=_ONSET)
+        ax.annotate(
+            ", ".join(labels), (onset, 1.0), xycoords=("data", "axes fraction"), xytext=(1, -2),
+            textcoords="offset points", rotation=90, ha="left", va="top", fontsize=4.5, color="0.35",
+        )  # fmt: skip
 
 
 def _label(ax: Axes, curve: Curve) -> None:

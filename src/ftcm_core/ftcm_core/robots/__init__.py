@@ -55,6 +55,16 @@ class Robot(Component):
         rest = (0.0,) * len(q)
         return self.forward_dynamics(q, rest, tuple(map(add, tau, self.gravity(q))))
 
+    def tip_torque(self, q: Vector, force: Vector) -> Vector | None:
+        """Joint torques J(q)ᵀ F of a force at the tip, N·m; None where the robot does not say where that is.
+
+        Args:
+            q: joint positions, rad.
+            force: F, its three components in the frame of the base, N.
+        """
+        del q, force
+        return None
+
     def _mass_matrix(self, q: Vector) -> tuple[Vector, ...]:
         """Columns of M(q), kg·m²."""
         n = len(q)

@@ -363,6 +363,25 @@ class Puma560(Robot):
         """Acceleration M(q)^-1 tau, rad/s²."""
         return solve3(inertia(self.coefficients, q)[0], *tau)
 
+    def tip_torque(self, q: Vector, force: Vector) -> Vector:
+        """Joint torques J(q)ᵀ F of a force at the tip, N·m.
+
+        The tip is where the payload is, on the wrist's axis. The base frame has its origin in the shoulder, z
+        upwards; at q = 0 the upper arm points along x.
+
+        Args:
+            q: joint positions, rad.
+            force: F in the base frame, N.
+        """
+        q1, q2, q3 = q
+        fx, fy, fz = force
+        c1, s1, c23, s23 = cos(q1), sin(q1), cos(q2 + q3), sin(q2 + q3)
+        length, side = D4 + self.payload_distance, D2 + D3
+        out3, up3 = A3 * c23 + length * s23, length * c23 - A3 * s23  # from the elbow to the tip
+        out, up = A2 * cos(q2) + out3, up3 - A2 * sin(q2)  # from the shoulder, in the plane of the arm
+        forwards, sideways = c1 * fx + s1 * fy, c1 * fy - s1 * fx
+        return out * sideways - side * forwards, up * forwards - out * fz, up3 * forwards - out3 * fz
+
 
 def links(robot: Puma560 | type[Puma560]) -> list[Link]:
     """Links of a robot, or those of the default parameters, of the class."""

@@ -175,6 +175,14 @@ class Scenario(Parameterised):
                 needs = part.supports(joints) or ""
             if needs:
                 raise ParameterError(f"{place}: {needs}; robot {self.robot.type_name!r} has {joints} joints")
+            if isinstance(part, Fault) and (reason := part.too_coarse(self.robot, self.dt)):
+                raise ParameterError(f"{place}.{reason}")
+        robot = self.robot
+        for i, fault in sorted(enumerate(self.faults), key=lambda x: x[1].rank):
+            try:
+                robot = fault.changed(robot) if isinstance(fault, RobotFault) else robot
+            except ParameterError as error:
+                raise ParameterError(f"injection.faults.{i}: makes a robot that cannot be: {error}") from None
 
     def parts(self) -> list[tuple[str, Parameterised]]:
         """Return the parameter records inside this scenario with their paths."""
@@ -213,9 +221,14 @@ class Scenario(Parameterised):
         )
 
     @property
-    def first_fault(self) -> float | None:
-        """Earliest onset of a fault, s; None without faults."""
-        return min((f.start for f in self.faults), default=None)
+    def fault_labels(self) -> tuple[str, ...]:
+        """Name of each fault: its type and its number among those of that type, from 0."""
+        count: dict[str, int] = {}
+        labels = []
+        for fault in self.faults:
+            n = count[fault.type_name] = count.get(fault.type_name, -1) + 1
+            labels.append(f"{fault.type_name}_{n}")
+        return tuple(labels)
 
     @property
     def hidden(self) -> bool:

@@ -6,12 +6,12 @@ This is the only place that knows what becomes of a command.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
-from ftcm_core.faults import ActuatorFault
+from ftcm_core.faults import ActuatorFault, FaultState
 from ftcm_core.limits import Limits
 from ftcm_core.signals import Vector, saturate
+from ftcm_core.simulation.fault_chain import FaultChain
 
 
 class DriveState(NamedTuple):
@@ -21,36 +21,32 @@ class DriveState(NamedTuple):
     """Torque of the last tick as the drives report it, N·m."""
     waiting: tuple[Vector, ...]
     """Commands on their way, the oldest first, N·m."""
-    faults: tuple[Any, ...]
+    faults: tuple[FaultState, ...]
     """State of each actuator fault."""
 
 
 class Drive:
     """The drives of all joints; ``init`` once, then ``step`` or ``brake`` once per tick."""
 
-    def __init__(
-        self, limits: Limits, delay: int, faults: Sequence[ActuatorFault], keys: Sequence[float], dt: float
-    ) -> None:
+    def __init__(self, limits: Limits, delay: int, faults: FaultChain[ActuatorFault], dt: float) -> None:
         """Say what they are.
 
         Args:
             limits: of torque and its rate.
             delay: the command of so many ticks before is applied; zeros until the first arrives.
-            faults: of the actuators, in the order in which they act.
-            keys: stream of random numbers of each fault.
+            faults: of the actuators.
             dt: tick length, s.
         """
         self.limits = limits
         self.delay = delay
-        self.faults = tuple(faults)
-        self.keys = tuple(keys)
+        self.chain = faults
+        self.faults = faults.faults
         self.dt = dt
 
     def init(self, joints: int) -> DriveState:
         """Return the state before the first tick: no torque."""
         zeros = (0.0,) * joints
-        states = tuple([fault.init(joints, key) for fault, key in zip(self.faults, self.keys)])
-        return DriveState(zeros, (zeros,) * self.delay, states)
+        return DriveState(zeros, (zeros,) * self.delay, self.chain.init(joints))
 
     def step(self, t: float, u: Vector, q: Vector, v: Vector, state: DriveState) -> tuple[Vector, DriveState]:
         """Apply the command of one tick.
@@ -101,7 +97,7 @@ class Drive:
             return torque, DriveState(effort, state.waiting, ())
         following = []
         for fault, inner in zip(self.faults, state.faults):
-            torque, inner = fault.step(t, self.dt, torque, q, v, inner)
+            torque, inner = fault.step(t, self.dt, torque, q, v, inner, effort)
             following.append(inner)
         return torque, DriveState(effort, state.waiting, tuple(following))
 

@@ -20,9 +20,10 @@ from typing import Any
 
 import numpy as np
 
-from ftcm_core.recording.trace import Array, Change, Trace
+from ftcm_core.recording.trace import Array, Change, FaultEvent, Trace
 from ftcm_core.scenario import Scenario
 from ftcm_core.signals import TrueDisturbance, Vector, seconds
+from ftcm_core.simulation.fault_chain import Phase
 from ftcm_core.simulation.stages import (
     ControllerStage,
     DetectorStage,
@@ -43,6 +44,9 @@ class Loop:
         self.injector = InjectorStage(scenario)
         self.detector = DetectorStage(scenario) if scenario.detector else None
         self.hidden = scenario.hidden
+        self.fault_events: list[FaultEvent] = []
+        """What was decided of faults so far."""
+        self._known = self.phases()
 
     def act(self, time_ns: int) -> tuple[Vector, Vector, TrueDisturbance]:
         """Everything of a tick before the plant moves: measure, observe, control, disturb, detect.
@@ -88,6 +92,28 @@ class Loop:
             return str(error) or type(error).__name__
         return self.plant.reason
 
+    def change(self, change: Change, time_ns: int) -> None:
+        """Swap a component in, or arm or clear a fault, with the tick at ``time_ns``."""
+        if change.kind != "fault":
+            getattr(self, change.kind).swap(change.component)
+            return
+        self.look_at_faults(time_ns)
+        for stage in (self.plant, self.controller, self.injector):
+            stage.order(change.component.number, change.component.action, seconds(time_ns))
+        self.look_at_faults(time_ns)
+
+    def phases(self) -> dict[int, Phase]:
+        """From when to when each fault acts, as is known so far, by its place in the scenario's list."""
+        return {**self.plant.phases(), **self.controller.phases(), **self.injector.phases()}
+
+    def look_at_faults(self, time_ns: int) -> None:
+        """Note what has been decided of faults since the last look."""
+        tick, now = time_ns // self.plant.dt_ns, self.phases()
+        self.fault_events += [
+            FaultEvent(tick, number, *phase) for number, phase in now.items() if phase != self._known[number]
+        ]
+        self._known = now
+
     def ended(self, time_ns: int, reason: str) -> tuple[str, str, float | None]:
         """How a run ended with the tick at ``time_ns`` and what :meth:`tick` returned.
 
@@ -110,7 +136,7 @@ def simulate(
 
     Args:
         scenario: what to run.
-        changes: controllers, observers or detectors to swap in, each from its tick on.
+        changes: controllers, observers or detectors to swap in, faults to arm or clear, each with its tick.
         progress: called about every 1000 ticks with the ticks done and the last tick.
 
     Returns:
@@ -127,14 +153,17 @@ def simulate(
     for k in range(last + 1):
         if k in swaps:
             for change in swaps[k]:
-                getattr(loop, change.kind).swap(change.component)
+                loop.change(change, k * dt_ns)
         reason = tick(k * dt_ns, k == last, record)
         if reason:
             break
         if progress and k % 1000 == 0:
             progress(k, last)
     ended = loop.ended(k * dt_ns, reason)
-    return to_trace(scenario, np.frombuffer(rows, dtype=np.float64), *ended, changes=changes)
+    loop.look_at_faults(k * dt_ns)
+    events = tuple(loop.fault_events)
+    table = np.frombuffer(rows, dtype=np.float64)
+    return to_trace(scenario, table, *ended, changes=changes, fault_events=events)
 
 
 def to_trace(

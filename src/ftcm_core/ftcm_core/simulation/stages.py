@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import math
 from operator import add
-from typing import Any, NamedTuple, TypeVar, cast
+from typing import Any, NamedTuple, cast
 
 from ftcm_core.controllers import Controller
 from ftcm_core.detectors import Detector
@@ -18,8 +18,8 @@ from ftcm_core.faults import (
     ActuatorFault,
     AdditiveFault,
     CommunicationFault,
-    Fault,
     RobotFault,
+    Seen,
     SensorFault,
 )
 from ftcm_core.limits import motion_beyond
@@ -39,25 +39,10 @@ from ftcm_core.signals import (
     seconds,
 )
 from ftcm_core.simulation.drive import Drive, DriveState
+from ftcm_core.simulation.fault_chain import FaultChain, Phase, States
 
-F = TypeVar("F", bound=Fault)
 Message = tuple[Vector, ...]
 """Arrays of a message."""
-
-
-def faults_of(scenario: Scenario, kind: type[F]) -> tuple[list[F], list[float]]:
-    """Return the scenario's faults of a kind of site, and the stream of random numbers of each.
-
-    A stream belongs to the n-th fault of a type: a fault of another type shifts none.
-    """
-    count: dict[str, int] = {}
-    faults, keys = [], []
-    for fault in scenario.faults:
-        number = count[fault.type_name] = count.get(fault.type_name, -1) + 1
-        if isinstance(fault, kind):
-            faults.append(fault)
-            keys.append(stream_key(scenario.seed, f"fault.{fault.type_name}.{number}"))
-    return faults, keys
 
 
 class Link:
@@ -65,21 +50,22 @@ class Link:
 
     def __init__(self, scenario: Scenario, topic: str) -> None:
         """Use the scenario's faults of a topic."""
-        faults, keys = faults_of(scenario, CommunicationFault)
-        mine = [(f, k) for f, k in zip(faults, keys) if f.topic == topic]
-        self.faults = tuple([f for f, _ in mine])
-        self._keys = tuple([k for _, k in mine])
+        self.chain = FaultChain(scenario, CommunicationFault, topic)
+        self.faults = self.chain.faults
         self._dt = scenario.dt
 
-    def init(self, joints: int) -> tuple[Any, ...]:
-        """Return the state before the first message."""
-        return tuple([fault.init(joints, key) for fault, key in zip(self.faults, self._keys)])
+    def step(self, t: float, message: Message, state: States, seen: Seen | None) -> tuple[Message, States]:
+        """Return what is received in a tick of what was sent in it, and the next state.
 
-    def step(self, t: float, message: Message, state: tuple[Any, ...]) -> tuple[Message, tuple[Any, ...]]:
-        """Return what is received in a tick of what was sent in it, and the next state."""
+        Args:
+            t: time, s.
+            message: what was sent.
+            state: what the last step returned; at first ``chain.init``.
+            seen: what conditions may look at.
+        """
         following = []
         for fault, inner in zip(self.faults, state):
-            message, inner = fault.step(t, self._dt, message, inner)
+            message, inner = fault.step(t, self._dt, message, inner, seen)
             following.append(inner)
         return message, tuple(following)
 
@@ -91,9 +77,10 @@ class PlantState(NamedTuple):
     """State of the engine."""
     drive: DriveState
     sensor: Any
-    sensor_faults: tuple[Any, ...]
-    links: tuple[tuple[Any, ...], ...]
+    sensor_faults: States
+    links: tuple[States, ...]
     """States of what disturbs ``joint_states``, ``joint_torques`` and ``disturbance``."""
+    robot_faults: States
     measured: Measurement
     """y_k as it is published."""
     joint_torque: Vector
@@ -111,12 +98,15 @@ class PlantStage:
         self.limits = scenario.limits
         self.stop_damping = per_joint(scenario.stop_damping, self.robot.joints)
         self.sensor = scenario.sensor
-        self.sensor_faults, keys = faults_of(scenario, SensorFault)
+        self.sensor_faults = FaultChain(scenario, SensorFault)
         self.drive = Drive(
-            scenario.limits, scenario.torque_delay, *faults_of(scenario, ActuatorFault), scenario.dt
+            scenario.limits, scenario.torque_delay, FaultChain(scenario, ActuatorFault), scenario.dt
         )
         self.links = tuple([Link(scenario, t) for t in ("joint_states", "joint_torques", "disturbance")])
-        self.changes = robot_changes(scenario)
+        self.robot_faults = FaultChain(scenario, RobotFault)
+        self.foreseen = all(f.trigger == "time" and not f.by_hand for f in self.robot_faults.faults)
+        """Whether it is known from the start when the robot changes."""
+        self.changes = robot_changes(scenario) if self.foreseen else ()
         """Robots to come, each with its first tick's time, ns."""
         n, start = self.robot.joints, scenario.initial_state
         motion = self.plant.init(self.robot, per_joint(start.position, n), per_joint(start.velocity, n))
@@ -125,10 +115,12 @@ class PlantStage:
             motion,
             self.drive.init(n),
             self.sensor.init(n, scenario.seed),
-            tuple([f.init(n, key) for f, key in zip(self.sensor_faults, keys)]),
-            tuple([link.init(n) for link in self.links]),
+            self.sensor_faults.init(n),
+            tuple([link.chain.init(n) for link in self.links]),
+            self.robot_faults.init(n),
             (0.0,) * n,
         )
+        self._nominal = self.robot
         self.status = "running"
         """``diverged`` or ``limit_exceeded`` once the run cannot go on."""
         self.reason = ""
@@ -160,7 +152,7 @@ class PlantStage:
         t, state, (y_link, u_link, d_link) = seconds(time_ns), self.state, self.state.links
         q, v = self.plant.motion(state.motion)
         if u_link:
-            (u,), u_link = self.links[1].step(t, (u,), u_link)
+            (u,), u_link = self.links[1].step(t, (u,), u_link, (q, v, state.drive.effort))
         torque, drive = self.drive.step(t, u, q, v, state.drive)
         self._move(time_ns, u, torque, d, drive, (y_link, u_link, d_link))
 
@@ -178,22 +170,26 @@ class PlantStage:
         torque: Vector,
         d: TrueDisturbance,
         drive: DriveState,
-        links: tuple[tuple[Any, ...], ...],
+        links: tuple[States, ...],
     ) -> None:
         """Let the torques act over a tick, then measure."""
+        state = self.state
+        q, v = self.plant.motion(state.motion)
+        seen, robot_faults = (q, v, state.drive.effort), state.robot_faults
         while self.changes and time_ns >= self.changes[0][0]:
             self.robot, self.changes = self.changes[0][1], self.changes[1:]
+        if not self.foreseen:
+            robot_faults = self._change_robot(seconds(time_ns), robot_faults, seen)
         y_link, u_link, d_link = links
         (added,) = d
         if d_link:
-            (added,), d_link = self.links[2].step(seconds(time_ns), (added,), d_link)
+            (added,), d_link = self.links[2].step(seconds(time_ns), (added,), d_link, seen)
         tau = tuple(map(add, torque, added))
         if not holds(math.isfinite(sum(u) + sum(tau))):
             self._end(
                 "diverged", f"torque is not finite: command {list(u)} N·m, disturbance {list(added)} N·m"
             )
             return
-        state = self.state
         motion = self.plant.step(self.robot, self.dt, tau, state.motion)
         q, v = self.plant.motion(motion)
         for x in v:
@@ -210,8 +206,45 @@ class PlantStage:
             state.sensor,
             state.sensor_faults,
             (y_link, u_link, d_link),
+            robot_faults,
             tau,
         )
+
+    def _change_robot(self, t: float, states: States, seen: Seen) -> States:
+        """Make the robot what the faults make of it that act at t, s."""
+        robot, following = self._nominal, []
+        for fault, state in zip(self.robot_faults.faults, states):
+            onset, end = fault.phase(t, state, seen)
+            following.append(state._replace(onset=onset))
+            if onset < t <= end:
+                robot = fault.changed(robot)
+        if robot != self.robot:
+            self.robot = robot
+        return tuple(following)
+
+    def order(self, number: int, action: str, t: float) -> None:
+        """Arm or clear a fault by hand at t, s; as of :meth:`FaultChain.ordered`."""
+
+        def after(chain: FaultChain[Any], states: States) -> States:
+            return chain.ordered(states, number, action, t)
+
+        state = self.state
+        self.state = state._replace(
+            drive=state.drive._replace(faults=after(self.drive.chain, state.drive.faults)),
+            sensor_faults=after(self.sensor_faults, state.sensor_faults),
+            links=tuple([after(link.chain, states) for link, states in zip(self.links, state.links)]),
+            robot_faults=after(self.robot_faults, state.robot_faults),
+        )
+
+    def phases(self) -> dict[int, Phase]:
+        """From when to when each fault of the plant acts, by its place in the scenario's list."""
+        state = self.state
+        found = self.drive.chain.phases(state.drive.faults)
+        found |= self.sensor_faults.phases(state.sensor_faults)
+        found |= self.robot_faults.phases(state.robot_faults)
+        for link, states in zip(self.links, state.links):
+            found |= link.chain.phases(states)
+        return found
 
     def _sensed(
         self,
@@ -219,23 +252,28 @@ class PlantStage:
         motion: Any,
         drive: DriveState,
         sensor: Any,
-        sensor_faults: tuple[Any, ...],
-        links: tuple[tuple[Any, ...], ...],
+        sensor_faults: States,
+        links: tuple[States, ...],
+        robot_faults: States,
         joint_torque: Vector,
     ) -> PlantState:
         """State of the plant with what the sensors make of its motion at time t, s."""
-        q, v, sensor = self.sensor.step(self.dt, *self.plant.motion(motion), sensor)
+        true = self.plant.motion(motion)
+        seen = (*true, drive.effort)
+        q, v, sensor = self.sensor.step(self.dt, *true, sensor)
         if sensor_faults:
             following = []
-            for fault, inner in zip(self.sensor_faults, sensor_faults):
-                q, v, inner = fault.step(t, self.dt, q, v, inner)
+            for fault, inner in zip(self.sensor_faults.faults, sensor_faults):
+                q, v, inner = fault.step(t, self.dt, q, v, inner, seen)
                 following.append(inner)
             sensor_faults = tuple(following)
         received: Message = (q, v, drive.effort)
         if links[0]:
-            received, y_link = self.links[0].step(t, received, links[0])
+            received, y_link = self.links[0].step(t, received, links[0], seen)
             links = (y_link, *links[1:])
-        return PlantState(motion, drive, sensor, sensor_faults, links, Measurement(*received), joint_torque)
+        return PlantState(
+            motion, drive, sensor, sensor_faults, links, robot_faults, Measurement(*received), joint_torque
+        )
 
     def _end(self, status: str, reason: str) -> None:
         self.status, self.reason = status, reason
@@ -245,18 +283,23 @@ def robot_changes(scenario: Scenario) -> tuple[tuple[int, Robot], ...]:
     """Return the robots that the scenario's faults make of the true one, with the times of their first ticks.
 
     Args:
-        scenario: the run.
+        scenario: the run; only faults whose time is known from the start are looked at.
 
     Returns:
         Time of the first tick, ns, and the robot, in the order of time.
     """
-    faults, _ = faults_of(scenario, RobotFault)
-    found, robot = [], scenario.robot
-    for fault in sorted((f for f in faults if f.start < scenario.duration), key=lambda f: f.start):
-        robot = fault.changed(robot)
-        first = math.floor(fault.start / scenario.dt) * scenario.dt_ns
-        while seconds(first) <= fault.start:  # the fault acts at t > start
+    chain = FaultChain(scenario, RobotFault)
+    phases = chain.phases(chain.init(scenario.robot.joints))
+    times = {t for phase in phases.values() for t in phase if t < scenario.duration}
+    found = []
+    for t in sorted(times):
+        first = math.floor(t / scenario.dt) * scenario.dt_ns
+        while seconds(first) <= t:  # a fault acts at onset < t <= end
             first += scenario.dt_ns
+        robot = scenario.robot
+        for number, fault in zip(chain.numbers, chain.faults):
+            if phases[number].onset < seconds(first) <= phases[number].end:
+                robot = fault.changed(robot)
         found.append((first, robot))
     return tuple(found)
 
@@ -301,7 +344,7 @@ class ControlState(NamedTuple):
     """What the controller's side remembers between ticks."""
 
     law: State
-    link: tuple[Any, ...]
+    link: States
     """State of what disturbs ``disturbance_estimate``."""
 
 
@@ -320,7 +363,7 @@ class ControllerStage:
         self.dt = scenario.dt
         self.link = Link(scenario, "disturbance_estimate")
         n = self.model.joints
-        self.state = ControlState(self.controller.init(n), self.link.init(n))
+        self.state = ControlState(self.controller.init(n), self.link.chain.init(n))
         self._prepared: _Prepared | None = None
 
     def swap(self, controller: Controller) -> None:
@@ -348,10 +391,19 @@ class ControllerStage:
         if not self.controller.needs_observer:  # over the graph it may be there or not
             tau_hat = (0.0,) * self.model.joints
         if link:
-            (tau_hat,), link = self.link.step(seconds(time_ns), (tau_hat,), link)
+            (tau_hat,), link = self.link.step(seconds(time_ns), (tau_hat,), link, None)
         u, law = self.controller.step(self.model, self.dt, y, reference, tau_hat, law, found)
         self.state = ControlState(law, link)
         return u, reference
+
+    def order(self, number: int, action: str, t: float) -> None:
+        """Arm or clear a fault by hand at t, s; as of :meth:`FaultChain.ordered`."""
+        chain = self.link.chain
+        self.state = self.state._replace(link=chain.ordered(self.state.link, number, action, t))
+
+    def phases(self) -> dict[int, Phase]:
+        """From when to when each fault of the estimate's topic acts."""
+        return self.link.chain.phases(self.state.link)
 
     def _without_estimate(self, time_ns: int, y: Measurement) -> _Prepared:
         reference = self.reference.at(seconds(time_ns), self.model.joints)
@@ -359,18 +411,27 @@ class ControllerStage:
         return time_ns, y, reference, found
 
 
+class InjectorState(NamedTuple):
+    """What the injector remembers between ticks."""
+
+    disturbances: tuple[Any, ...]
+    faults: States
+
+
 class InjectorStage:
     """Disturbances and additive faults: one added torque per true motion and command."""
 
     def __init__(self, scenario: Scenario) -> None:
         """Sum the torques of all disturbances, then of all faults."""
-        faults, keys = faults_of(scenario, AdditiveFault)
-        seed, count = scenario.seed, range(len(scenario.disturbances))
-        self.sources: tuple[Disturbance, ...] = (*scenario.disturbances, *faults)
+        seed = scenario.seed
+        self.disturbances: tuple[Disturbance, ...] = scenario.disturbances
+        self.chain = FaultChain(scenario, AdditiveFault)
+        self.robot = scenario.robot
         self.joints = scenario.robot.joints
         self.dt = scenario.dt
-        every = [*(stream_key(seed, f"disturbance.{i}") for i in count), *keys]
-        self.state = tuple([source.init(self.joints, key) for source, key in zip(self.sources, every)])
+        states = [d.init(self.joints, stream_key(seed, f"disturbance.{i}"))
+                  for i, d in enumerate(self.disturbances)]  # fmt: skip
+        self.state = InjectorState(tuple(states), self.chain.init(self.joints))
 
     def step(
         self, time_ns: int, position: Vector, velocity: Vector, u: Vector, ticks: int = 1
@@ -386,13 +447,25 @@ class InjectorStage:
         """
         t, dt = seconds(time_ns), ticks * self.dt
         total: Vector = (0.0,) * self.joints
-        following = []
-        for source, inner in zip(self.sources, self.state):
-            torque, inner = source.step(t, dt, position, velocity, u, inner)
-            following.append(inner)
+        disturbances, faults = [], []
+        for disturbance, inner in zip(self.disturbances, self.state.disturbances):
+            torque, inner = disturbance.step(t, dt, position, velocity, u, inner)
+            disturbances.append(inner)
             total = tuple(map(add, total, torque))
-        self.state = tuple(following)
+        for fault, state in zip(self.chain.faults, self.state.faults):
+            torque, state = fault.step(self.robot, t, position, velocity, u, state)
+            faults.append(state)
+            total = tuple(map(add, total, torque))
+        self.state = InjectorState(tuple(disturbances), tuple(faults))
         return TrueDisturbance(total)
+
+    def order(self, number: int, action: str, t: float) -> None:
+        """Arm or clear a fault by hand at t, s; as of :meth:`FaultChain.ordered`."""
+        self.state = self.state._replace(faults=self.chain.ordered(self.state.faults, number, action, t))
+
+    def phases(self) -> dict[int, Phase]:
+        """From when to when each additive fault acts."""
+        return self.chain.phases(self.state.faults)
 
 
 class DetectorStage:

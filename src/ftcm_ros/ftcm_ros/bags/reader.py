@@ -16,7 +16,7 @@ from rosbags.rosbag2 import Reader, ReaderError
 from rosbags.typesys import Stores, get_typestore
 
 from ftcm_core.errors import FtcmError, shown
-from ftcm_core.recording.trace import ENDED_EARLY, Change, Trace
+from ftcm_core.recording.trace import ENDED_EARLY, Change, FaultEvent, FaultOrder, Trace
 from ftcm_core.registry import find, plugins
 from ftcm_core.scenario import Scenario, from_mapping, parse_yaml
 from ftcm_core.signals import NANOSECONDS, channels
@@ -28,6 +28,7 @@ from ftcm_ros.transport.topics import (
     DETECTION,
     DIAGNOSTICS,
     EVENTS,
+    FAULTS,
     JOINT_STATES,
     SCENARIO,
     TOPICS,
@@ -83,7 +84,8 @@ def read_bag(path: Path, scenario: Scenario | None = None) -> BagContents:
     verdict = _verdict(path)
     raw, published, damage = _read_messages(path, damaged=verdict == "damaged")
     metadata = {} if damage and verdict != "damaged" else _custom_data(path)
-    others = {name: raw.pop(name, []) for name in (CHANGES.name, SCENARIO.name, DIAGNOSTICS.name.lstrip("/"))}
+    apart = (CHANGES.name, FAULTS.name, SCENARIO.name, DIAGNOSTICS.name.lstrip("/"))
+    others = {name: raw.pop(name, []) for name in apart}
     if not raw.get(JOINT_STATES.name):
         if damage:
             raise FtcmError(
@@ -130,6 +132,7 @@ def read_bag(path: Path, scenario: Scenario | None = None) -> BagContents:
         changes = _changes(typestore, others[CHANGES.name], dt_ns)
     except FtcmError as error:
         raise _naming_plugins(error, scenario.plugins if scenario else ()) from None
+    events, orders = _fault_events(typestore, others[FAULTS.name])
     if scenario is not None:
         scenario, changes = _initial_components(scenario, changes, int(stamps[0]) // dt_ns)
     status, detail, ended_at = _status(scenario, nodes.get("plant", {}), int(stamps[-1]), dt_ns)
@@ -140,7 +143,8 @@ def read_bag(path: Path, scenario: Scenario | None = None) -> BagContents:
     stamps_of = {name: times for name, (times, _) in decoded.items()}
     trace = Trace(
         joint_names=names, dt=dt_ns / 1e9, time_ns=stamps, **columns,
-        scenario=scenario, status=status, detail=detail, ended_at=ended_at, changes=tuple(changes),
+        scenario=scenario, status=status, detail=detail, ended_at=ended_at,
+        changes=tuple(sorted([*changes, *orders], key=lambda c: c.tick)), fault_events=tuple(events),
         engine="graph",
     )  # fmt: skip
     return BagContents(
@@ -391,6 +395,28 @@ def _changes(typestore: Any, messages: Sequence[bytes], dt_ns: int) -> list[Chan
             found = [c for c in found if c.kind != status.name or c.tick <= tick]
             found.append(Change(tick, status.name, component))
     return sorted(found, key=lambda c: c.tick)
+
+
+def _fault_events(typestore: Any, messages: Sequence[bytes]) -> tuple[list[FaultEvent], list[Change]]:
+    """What was decided of faults while the run was on, and the orders by hand among it."""
+    events: list[FaultEvent] = []
+    orders: list[Change] = []
+    known: dict[int, tuple[float, float]] = {}
+    for data in messages:
+        for status in typestore.deserialize_cdr(data, FAULTS.type).status:
+            values = {v.key: v.value for v in status.values}
+            tick, number, action = int(values["tick"]), int(values["number"]), values["action"]
+            phase = float(values["onset"]), float(values["end"])
+            if tick == 0 and not action:  # as the scenario has it: a run begins
+                known[number] = phase
+                events = [e for e in events if e.number != number]
+                orders = [c for c in orders if c.component.number != number]
+            elif phase != known.get(number):
+                known[number] = phase
+                events.append(FaultEvent(tick, number, *phase))
+            if action:
+                orders.append(Change(tick, "fault", FaultOrder(number, action)))
+    return sorted(events, key=lambda e: e.tick), orders
 
 
 def _initial_components(

@@ -14,6 +14,7 @@ from ftcm_core.registry import Component
 from ftcm_core.signals import Measurement
 from ftcm_core.simulation.stages import ControllerStage
 from ftcm_ros.nodes.component_node import ComponentNode
+from ftcm_ros.nodes.fault_desk import FaultDesk
 from ftcm_ros.nodes.main import run
 from ftcm_ros.nodes.reactive_node import Answer
 from ftcm_ros.transport.codec import JointSample
@@ -30,6 +31,7 @@ class ControllerNode(ComponentNode):
         self.listen({JOINT_STATES: ("position", "velocity", "effort"), ESTIMATE: ("effort",)})
         self._torques = self.plane.sender(TORQUES, self.codec.torque)
         self._reference = self.plane.sender(REFERENCE, self.codec.motion)
+        self.faults = FaultDesk(self, self.next_tick)
         self._zeros = (0.0,) * self.scenario.robot.joints
         self._limits = self.scenario.limits
         self.beyond_limits = 0
@@ -42,6 +44,7 @@ class ControllerNode(ComponentNode):
         super().configure()
         law = cast(Controller, self.parameters.component)
         self.stage = self.staged(ControllerStage(self.scenario, law), law)
+        self.faults.begin()
         self._require(law)
 
     def _require(self, law: Controller) -> None:

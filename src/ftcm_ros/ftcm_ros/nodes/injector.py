@@ -7,6 +7,7 @@ import math
 import sys
 
 from ftcm_core.simulation.stages import InjectorStage
+from ftcm_ros.nodes.fault_desk import FaultDesk, FaultServices
 from ftcm_ros.nodes.main import run
 from ftcm_ros.nodes.reactive_node import Answer, ReactiveNode
 from ftcm_ros.transport.codec import JointSample
@@ -23,12 +24,15 @@ class InjectorNode(ReactiveNode):
         self._motion = TRUE_STATE if self.scenario.hidden else JOINT_STATES
         self.listen({self._motion: ("position", "velocity"), TORQUES: ("effort",)})
         self._disturbance = self.plane.sender(DISTURBANCE, self.codec.torque)
+        self.faults = FaultDesk(self, self.next_tick)
+        self.fault_services = FaultServices(self, self.faults)
         self.configure()
 
     def configure(self) -> None:
         """Disturbances and faults as they are before the first tick."""
         super().configure()
         self.stage = self.staged(InjectorStage(self.scenario))
+        self.faults.begin()
 
     def answer(self, time_ns: int, values: dict[str, JointSample]) -> Answer:
         """One disturbance."""
@@ -42,7 +46,12 @@ class InjectorNode(ReactiveNode):
         ) as error:  # a fault driven out of its domain: the run has diverged
             self.get_logger().error(f"tick {time_ns // self.scenario.dt_ns}: {error}")
             d = (math.nan,) * self.scenario.robot.joints
+        self.faults.look(time_ns)
         return [(self._disturbance.send, self._disturbance.ready(time_ns, d))]
+
+    def deactivate(self) -> None:
+        """The run ends: tell what has not been told."""
+        self.faults.tell(max(0, self.next_tick() - 1))
 
 
 def main() -> None:

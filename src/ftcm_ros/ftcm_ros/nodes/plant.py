@@ -26,6 +26,7 @@ from ftcm_core.errors import FtcmError
 from ftcm_core.recording.trace import ENDED_EARLY
 from ftcm_core.signals import NANOSECONDS, TrueDisturbance, Vector, seconds
 from ftcm_core.simulation.stages import PlantStage
+from ftcm_ros.nodes.fault_desk import FaultDesk
 from ftcm_ros.nodes.main import run
 from ftcm_ros.nodes.suite_node import POLL_NS, SuiteNode
 from ftcm_ros.timing.clocks import ClockWatch
@@ -81,6 +82,7 @@ class PlantNode(SuiteNode):
         for topic in (TORQUES, DISTURBANCE):
             self.subscribe(topic, ("effort",), self._taker(topic))
         self.plane.subscribe(RECORDED, self._on_recorded)
+        self.faults = FaultDesk(self, lambda: self.tick + self._moved)
         self._clocks = ClockWatch()
         self.state = "waiting"
         self.detail = ""
@@ -121,6 +123,7 @@ class PlantNode(SuiteNode):
         self._publish_scenario(String(data=self.scenario.to_yaml()))
         self._began = time.monotonic()
         self.elapsed = 0.0
+        self.faults.begin()
         self._prepare(0, reveal=self.scenario.hidden)
         self._begin_tick()
         self.pacer.begin()
@@ -197,6 +200,7 @@ class PlantNode(SuiteNode):
                 self.misses.late_disturbance += 1
             self._move()
         self.ticks += 1
+        self.faults.look(self.time_ns)
         if self._raised:
             self._finish("diverged", self.time_ns, self._raised)
         elif self.stage.reason:
@@ -249,6 +253,7 @@ class PlantNode(SuiteNode):
             self._truth = self._truths.ready(time_ns, q, v, self.stage.joint_torque)
 
     def _finish(self, state: str, time_ns: int, reason: str) -> None:
+        self.faults.tell(self.tick)
         t = seconds(time_ns)
         self.state = state
         self.detail = f"at t = {t:g} s: {reason}" if reason else f"{t:g} s"

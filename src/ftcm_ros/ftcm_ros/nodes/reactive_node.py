@@ -115,6 +115,10 @@ class ReactiveNode(SuiteNode):
     def answer(self, time_ns: int, values: dict[str, JointSample]) -> Answer:
         """Compute one tick: return what to send."""
 
+    def next_tick(self) -> int:
+        """Number of the tick that is answered next."""
+        return 0 if self.aligner.last is None else self.aligner.last // self.scenario.dt_ns + 1
+
     def configure(self) -> None:
         """Begin afresh with the next tick."""
         self.aligner.reset()

@@ -148,7 +148,11 @@ class Run:
         stages = {n: {"stages": self.options.stages} for n in self.nodes if n != "recorder"}
         extra: dict[str, dict[str, Any]] = {
             "plant": {"mode": self.options.mode, "recorder_window": RECORDER_WINDOW},
-            "recorder": {"bag": str(self.bag.resolve()), "storage": self.options.storage},
+            "recorder": {
+                "bag": str(self.bag.resolve()),
+                "storage": self.options.storage,
+                "priority": 0,  # it is not in the tick, and must not take the processor from those that are
+            },
         }
         self.bag.parent.mkdir(parents=True, exist_ok=True)
         together = tuple(n for n in self.nodes if n != "recorder") if composed(self.options) else ()

@@ -6,6 +6,7 @@ from __future__ import annotations
 import contextlib
 import ctypes
 import os
+from collections.abc import Callable
 from pathlib import Path
 
 import psutil
@@ -17,7 +18,10 @@ _PR_SET_TIMERSLACK = 29
 
 
 def apply(priority: int, lock_memory: bool, processors: str) -> list[str]:
-    """Apply what is asked for to this process; threads started later inherit it.
+    """Apply what is asked for to every thread of this process; those started later inherit it.
+
+    The threads of the middleware are there before: with them left out, the thread that receives a message
+    would wait for the processor behind threads that have nothing to do with the tick.
 
     Args:
         priority: SCHED_FIFO priority 1 to 99; 0 leaves ordinary scheduling.
@@ -41,12 +45,13 @@ def apply(priority: int, lock_memory: bool, processors: str) -> list[str]:
         there = os.sched_getaffinity(0)
         if not wanted <= there:
             raise FtcmError(f"processors: {processors!r}; this process may use {sorted(there)}")
-        os.sched_setaffinity(0, wanted)
+        _each_thread(lambda thread: os.sched_setaffinity(thread, wanted))
     if not 0 <= priority <= 99:
         raise FtcmError(f"priority: {priority} is out of range; expected 0 (ordinary) to 99")
     if priority:
         try:
-            os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(priority))
+            first = os.sched_param(priority)
+            _each_thread(lambda thread: os.sched_setscheduler(thread, os.SCHED_FIFO, first))
         except PermissionError:
             refused.append(
                 f"priority {priority} is not permitted; ordinary scheduling is used. Allow it with rtprio in "
@@ -74,6 +79,10 @@ def waited_seconds() -> float:
 
 def release() -> None:
     """Give all threads of this process ordinary scheduling again, so that its end holds up nobody."""
+    _each_thread(lambda thread: os.sched_setscheduler(thread, os.SCHED_OTHER, os.sched_param(0)))
+
+
+def _each_thread(act: Callable[[int], None]) -> None:
     for thread in psutil.Process().threads():
-        with contextlib.suppress(OSError):  # it has just ended
-            os.sched_setscheduler(thread.id, os.SCHED_OTHER, os.sched_param(0))
+        with contextlib.suppress(ProcessLookupError):  # it has just ended
+            act(thread.id)

@@ -59,6 +59,23 @@ CHANGES = Topic(
     latched=True,
     depth=100,
 )
+FAULTS = Topic(
+    "faults",
+    _ARRAY,
+    ("plant", "injector", "controller"),
+    ("injector", "recorder"),
+    "ground truth: from when to when a fault acts, as soon as it is decided, stamped with that tick",
+    latched=True,
+    depth=1000,
+)
+FAULT_ORDERS = Topic(
+    "fault_orders",
+    "std_msgs/msg/String",
+    ("injector",),
+    ("plant", "controller"),
+    "`arm LABEL` or `clear LABEL`: an order by hand, taken by the injector's services",
+    depth=100,
+)
 SCENARIO = Topic(
     "scenario",
     "std_msgs/msg/String",
@@ -93,9 +110,9 @@ CLOCK = Topic(
     depth=10,
 )
 
-EVENTS = (CHANGES, SCENARIO, DIAGNOSTICS)
+EVENTS = (CHANGES, FAULTS, SCENARIO, DIAGNOSTICS)
 """Recorded besides the data topics."""
-TOPICS = (*_BY_NAME.values(), *EVENTS, RECORDED, CLOCK)
+TOPICS = (*_BY_NAME.values(), *EVENTS, FAULT_ORDERS, RECORDED, CLOCK)
 """All topics of the suite."""
 
 
@@ -115,4 +132,17 @@ def subscribers(topic: Topic, scenario: Scenario) -> tuple[str, ...]:
     for channel in scenario.channels:
         if channel.topic == topic.name:
             return (*channel.readers, "recorder")
+    if topic is FAULT_ORDERS:
+        by_hand = (
+            name
+            for name in topic.subscribers
+            for n in faults_at(scenario, name)
+            if scenario.faults[n].by_hand
+        )
+        return tuple(dict.fromkeys(by_hand))
     return ("recorder",) if topic in (TRUE_STATE, DETECTION) else topic.subscribers
+
+
+def faults_at(scenario: Scenario, node: str) -> tuple[int, ...]:
+    """Faults that act in the stage of a node, by their place in the scenario's list."""
+    return tuple(n for n, fault in enumerate(scenario.faults) if fault.stage == node)

@@ -1,0 +1,76 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The command ``suite``: many runs that belong together, and one table."""
+
+from __future__ import annotations
+
+import argparse
+
+from ftcm_core.campaign import fault_suite
+from ftcm_core.cli.output import progress
+from ftcm_core.recording.provenance import provenance
+from ftcm_core.registry import components, find
+from ftcm_core.report.results import new_folder, to_json, writing
+
+
+def suite_command(arguments: argparse.Namespace) -> int:
+    """Run the suite of faults."""
+    controllers = tuple(arguments.controllers or fault_suite.Suite().controllers)
+    if controllers == ("all",):
+        controllers = tuple(components("controller"))
+    for name in controllers:
+        find("controller", name)
+    suite = fault_suite.Suite(
+        scenario=arguments.scenario,
+        controllers=tuple(dict.fromkeys(controllers)),
+        faults=tuple(dict.fromkeys(arguments.faults)),
+        joints=tuple(dict.fromkeys(arguments.joints)),
+        conditions=tuple(dict.fromkeys(arguments.conditions)),
+        onset=arguments.onset,
+        duration=arguments.duration,
+        overrides=tuple(arguments.overrides),
+    )
+    folder = new_folder(arguments.output) if arguments.output is not None else None
+    with progress("run") as show:
+        rows = fault_suite.run_suite(suite, jobs=arguments.jobs, progress=show)
+    text = f"{fault_suite.summary(rows)}\n{fault_suite.tables(rows)}"
+    about = {"suite": vars(suite), "rows": rows, "provenance": provenance()}
+    print(to_json(about) if arguments.json else text, flush=True)
+    if folder:
+        with writing(folder):
+            (folder / "summary.json").write_text(to_json(about, indent=1) + "\n", encoding="utf-8")
+            (folder / "table.md").write_text(text, encoding="utf-8")
+    return 0
+
+
+def add_arguments(sub: argparse.ArgumentParser) -> None:
+    """Declare the command's arguments."""
+    default = fault_suite.Suite()
+    sub.add_argument("suite", choices=("faults",), help="faults: every fault against every law")
+    sub.add_argument(
+        "scenario", nargs="?", default=default.scenario, metavar="SCENARIO",
+        help="scenario file, or name of a shipped one (default: paper); its own faults are left out",
+    )  # fmt: skip
+    sub.add_argument(
+        "--controllers", nargs="+", metavar="NAME",
+        help=f"laws, or all (default: {' '.join(default.controllers)})",
+    )  # fmt: skip
+    sub.add_argument(
+        "--faults", nargs="+", default=[], metavar="NAME", help="default: all that suit the robot"
+    )
+    sub.add_argument(
+        "--joints", nargs="+", type=int, default=list(default.joints), metavar="N",
+        help="joints that break, one in each run (default: 2)",
+    )  # fmt: skip
+    sub.add_argument(
+        "--conditions", nargs="+", default=list(default.conditions), metavar="NAME",
+        help=f"any of {', '.join(fault_suite.conditions())} (default: ideal)",
+    )  # fmt: skip
+    sub.add_argument("--onset", type=float, default=default.onset, metavar="S", help="default: 3")
+    sub.add_argument("--duration", type=float, default=default.duration, metavar="S", help="default: 6")
+    sub.add_argument(
+        "--set", nargs="+", action="extend", default=[], metavar="PATH=VALUE", dest="overrides",
+        help="change values in every run",
+    )  # fmt: skip
+    sub.add_argument("--jobs", type=int, metavar="N", help="number of processes; default: one per core")
+    sub.add_argument("--json", action="store_true", help="print one JSON object")
+    sub.add_argument("--output", metavar="DIR", help="write the rows and tables to a new folder")
