@@ -3,6 +3,7 @@
 
 import os
 import platform
+from collections.abc import Iterator
 from importlib import metadata
 from pathlib import Path
 
@@ -14,6 +15,17 @@ ROOT = Path(__file__).resolve().parents[1]
 def pytest_report_header():
     ros = f"sourced ROS 2 {os.environ['ROS_DISTRO']}" if "ROS_DISTRO" in os.environ else "ROS 2 from wheels"
     return f"Python {platform.python_version()}, numpy {metadata.version('numpy')}, {ros}"
+
+
+@pytest.fixture(scope="session", autouse=True)
+def _compiled_code(tmp_path_factory) -> Iterator[None]:
+    """One folder of compiled code for all tests and what they start: new, and shared by all workers."""
+    folder = tmp_path_factory.getbasetemp()
+    if "PYTEST_XDIST_WORKER" in os.environ:
+        folder = folder.parent
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setenv("FTCM_CACHE_DIR", str(folder / "compiled"))
+        yield
 
 
 @pytest.fixture(scope="session")

@@ -224,9 +224,9 @@ def test_compiled_without_numba_is_one_line(monkeypatch, capsys):
     assert 'pip install "ftcm_core[compiled]"' in capsys.readouterr().err
 
 
-def test_compiled_and_plain_campaigns_agree(tmp_path, monkeypatch):
+@pytest.mark.slow
+def test_compiled_and_plain_campaigns_agree():
     pytest.importorskip("numba")
-    monkeypatch.setenv("FTCM_CACHE_DIR", str(tmp_path / "cache"))
     found = [
         campaign.run_campaign(planned(), engine=e, jobs=1)["results"]["ftcm"] for e in ("plain", "compiled")
     ]

@@ -29,6 +29,7 @@ from plugins import ROBOTS, robots_known, scenario_mapping
 from traces import close
 from written_tick import WrittenTick, state_numbers
 
+FEW_TICKS = ("duration=0.3", "transient=0.1", "injection.faults.0.start=0.2")
 VARIANTS = {
     "paper": (),
     "limits and delay": (
@@ -43,13 +44,6 @@ VARIANTS = {
     "per joint": ("observer.k1=[10000, 20000, 15000]", "reference.type=sine"),
     "other reference": ("reference.type=quintic", "injection.disturbances=[]"),
 }
-
-
-@pytest.fixture(scope="module", autouse=True)
-def _cache(tmp_path_factory):
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setenv(compiled.CACHE, str(tmp_path_factory.mktemp("compiled")))
-        yield
 
 
 def started(*overrides, controller="ftcm"):
@@ -114,6 +108,27 @@ ONE_OF_EACH = {
 }
 
 
+def together(variants, most=5):
+    """The same in fewer runs: a few variants in each that change different parts, their faults in a row."""
+    groups = []
+    for name, overrides in variants.items():
+        found = dict(override.split("=", 1) for override in overrides)
+        faults = found.pop("injection.faults", "")[1:-1]
+        parts = {key.partition(".")[0] for key in found}
+        fits = (g for g in groups if len(g["names"]) < most and not parts & g["parts"])
+        group = next(fits, None) or {"names": [], "parts": set(), "overrides": [], "faults": []}
+        if not group["names"]:
+            groups.append(group)
+        group["names"].append(name)
+        group["parts"] |= parts
+        group["overrides"] += [f"{key}={value}" for key, value in found.items()]
+        group["faults"] += [faults] * bool(faults)
+    return {
+        ", ".join(g["names"]): (*g["overrides"], f"injection.faults=[{', '.join(g['faults'])}]")
+        for g in groups
+    }
+
+
 @pytest.mark.parametrize("variant", ONE_OF_EACH)
 def test_what_is_written_of_every_kind_of_component_is_the_plain_tick(variant):
     _, loop = started(*ONE_OF_EACH[variant])
@@ -121,18 +136,15 @@ def test_what_is_written_of_every_kind_of_component_is_the_plain_tick(variant):
     written_as_plain(loop, other, 40)
 
 
-@pytest.mark.parametrize("name", sorted(set(components("observer")) - {"none"}))
-def test_what_is_written_of_any_observer_is_the_plain_tick(name):
-    _, loop = started(f"observer={name}")
-    _, other = started(f"observer={name}")
-    written_as_plain(loop, other, 40)
+LAWS_AND_OBSERVERS = [(law, "do") for law in components("controller")]
+LAWS_AND_OBSERVERS += [("smc", observer) for observer in components("observer") if observer != "do"]
 
 
 @pytest.mark.parametrize("robot", ROBOTS)
-@pytest.mark.parametrize("name", sorted(components("controller")))
-def test_what_is_written_for_any_robot_is_the_plain_tick(name, robot):
+@pytest.mark.parametrize(("law", "observer"), LAWS_AND_OBSERVERS)
+def test_what_is_written_for_any_robot_is_the_plain_tick(law, observer, robot):
     with robots_known():
-        scenario = from_mapping(scenario_mapping(robot, controller=name))
+        scenario = from_mapping(scenario_mapping(robot, controller=law, observer=observer))
     loops = Loop(scenario), Loop(scenario)
     for k in range(3):
         assert not any(loop.tick(k * scenario.dt_ns, False, lambda row: None) for loop in loops)
@@ -343,9 +355,9 @@ class TestNumba:
     @pytest.mark.parametrize("overflow", OUT_OF_THEIR_DOMAIN, ids=lambda f: f.__name__)
     def test_a_law_that_leaves_its_domain_in_the_middle_ends_the_run_as_plainly(self, overflow):
         """In a compiled tick, not the first: same status, detail, time and rows."""
-        scenario = replace(
-            load("paper", ["duration=0.1"], "smc"), controller=Counting(function=overflow.__name__)
-        )
+        with robots_known():
+            scenario = from_mapping(scenario_mapping("pendulum", controller="smc"))
+        scenario = replace(scenario, controller=Counting(function=overflow.__name__))
         trace, plain = compiled.simulate(scenario), simulate(scenario)
         assert (trace.engine, plain.engine) == ("compiled", "plain")
         assert plain.status == "diverged"
@@ -371,9 +383,9 @@ class TestNumba:
                 run(scenario)
             assert len(str(error.value).splitlines()) == 1
 
-    @pytest.mark.parametrize("variant", ONE_OF_EACH)
-    def test_a_run_with_any_kind_of_component_agrees(self, variant):
-        scenario = load("paper", ["duration=0.2", "injection.faults.0.start=0.05", *ONE_OF_EACH[variant]])
+    @pytest.mark.parametrize("overrides", together(ONE_OF_EACH).items(), ids=lambda x: x[0])
+    def test_a_run_with_any_kind_of_component_agrees(self, overrides):
+        scenario = load("paper", ["duration=0.2", *overrides[1]])
         trace = compiled.simulate(scenario)
         assert trace.engine == "compiled"
         close(trace, simulate(scenario), rtol=1e-7, atol=1e-7)
@@ -391,24 +403,26 @@ class TestNumba:
         assert not np.array_equal(trace.velocity[52], without.velocity[52])
         assert np.abs(trace.velocity[102:] - without.velocity[102:]).max() > 1e-3
 
+    # What is written for each law, observer and robot together is compared above, bit for bit; here what is
+    # compiled of it, for each by itself.
+
     @pytest.mark.parametrize("name", sorted(components("controller")))
-    @pytest.mark.parametrize("robot", [name for name, r in ROBOTS.items() if r.joints < 3])
-    def test_metrics_agree_for_any_law_and_robot(self, name, robot):
-        self.metrics_agree(robot, name, "do")
+    def test_metrics_agree_for_any_law(self, name):
+        self.metrics_agree(load("paper", FEW_TICKS, name))
 
     @pytest.mark.parametrize("robot", [name for name, r in ROBOTS.items() if r.joints != 3])
-    @pytest.mark.parametrize("observer", sorted(components("observer")))
-    def test_metrics_agree_for_any_observer_and_robot(self, observer, robot):
-        self.metrics_agree(robot, "smc", observer)
-
-    @pytest.mark.slow
-    @pytest.mark.parametrize("name", sorted(components("controller")))
-    def test_metrics_agree_for_any_law_on_six_joints(self, name):
-        self.metrics_agree("serial_arm", name, "do")
-
-    def metrics_agree(self, robot, law, observer):
+    def test_metrics_agree_for_any_robot(self, robot):
         with robots_known():
-            scenario = from_mapping(scenario_mapping(robot, controller=law, observer=observer))
+            scenario = from_mapping(scenario_mapping(robot))
+        self.metrics_agree(scenario)
+
+    @pytest.mark.parametrize("observer", sorted(components("observer")))
+    def test_metrics_agree_for_any_observer(self, observer):
+        with robots_known():
+            scenario = from_mapping(scenario_mapping("planar_arm", controller="smc", observer=observer))
+        self.metrics_agree(scenario)
+
+    def metrics_agree(self, scenario):
         trace, plain = compiled.simulate(scenario), simulate(scenario)
         assert (trace.engine, trace.status, plain.status) == ("compiled", "completed", "completed")
         found, expected = evaluate(trace), evaluate(plain)

@@ -3,7 +3,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from typing import Any
 
 import numpy as np
@@ -26,6 +25,8 @@ from plugins import registry_kept
 
 pytestmark = pytest.mark.slow
 
+FEW_TICKS = ["duration=0.3", "transient=0.1", "injection.faults.0.start=0.2"]
+"""Those of test_compiled.py, whose code for each law is found here."""
 OVERLOADED = {
     "trigger": "condition", "trigger_signal": "torque", "trigger_joint": 2, "trigger_above": 50.0,
 }  # fmt: skip
@@ -45,13 +46,6 @@ FAULTY = {
     },
     "duration": 0.3,
 }
-
-
-@pytest.fixture(autouse=True, scope="module")
-def _cache(tmp_path_factory: pytest.TempPathFactory) -> Iterator[None]:
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setenv(compiled.CACHE, str(tmp_path_factory.mktemp("compiled")))
-        yield
 
 
 def staged(scenario: Scenario, kinds: tuple[str, ...] = KINDS) -> Loop:
@@ -91,7 +85,7 @@ def equals_the_compiled_run(scenario: Scenario) -> str:
 
 @pytest.mark.parametrize("law", [*components("controller")])
 def test_every_law(law: str) -> None:
-    assert equals_the_compiled_run(load("paper", ["duration=0.3"], controller=law)).startswith("completed")
+    assert equals_the_compiled_run(load("paper", FEW_TICKS, law)).startswith("completed")
 
 
 def test_the_paper_s_run_is_the_plain_one() -> None:

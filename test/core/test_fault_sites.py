@@ -5,7 +5,6 @@ from __future__ import annotations
 
 import math
 from itertools import pairwise
-from typing import Any
 
 import numpy as np
 import pytest
@@ -318,13 +317,11 @@ def test_several_faults_at_once() -> None:
     assert trace.measured_position == pytest.approx(biased[link["joint_states"]], abs=1e-15)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("more", [(), DRIVES], ids=["", "limits and delay"])
-def test_several_faults_at_once_compiled(
-    more: tuple[str, ...], monkeypatch: pytest.MonkeyPatch, tmp_path: Any
-) -> None:
+def test_several_faults_at_once_compiled(more: tuple[str, ...]) -> None:
     """As plainly, closely: over the pick-up of the payload too."""
     pytest.importorskip("numba")
-    monkeypatch.setenv(compiled.CACHE, str(tmp_path))
     found = scenario(*EVERYTHING, more=(*more, "sensor={type: encoder, resolution: 0, noise: 1e-5}"))
     trace = compiled.simulate(found)
     assert trace.engine == "compiled"

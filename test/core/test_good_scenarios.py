@@ -272,10 +272,9 @@ fixed = {
 
 
 @pytest.mark.slow
-def test_compiled_runs_are_the_plain_ones(tmp_path_factory: Any, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_compiled_runs_are_the_plain_ones() -> None:
     """Two dozen scenarios of one structure, compiled once."""
     pytest.importorskip("numba")
-    monkeypatch.setenv(compiled.CACHE, str(tmp_path_factory.mktemp("compiled")))
 
     @inputs(24, data=scenarios(10.0, **fixed))
     def run(data: dict[str, Any]) -> None:

@@ -123,10 +123,10 @@ def test_what_its_prepare_returns_is_what_its_step_gets(file: Path) -> None:
         assert ahead.step(k * 1_000_000, y, tau_hat) == one.step(k * 1_000_000, y, tau_hat)
 
 
-def test_it_is_compiled_as_any_other(file: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+@pytest.mark.slow
+def test_it_is_compiled_as_any_other(file: Path) -> None:
     """Its own function of plain floats too."""
     pytest.importorskip("numba")
-    monkeypatch.setenv(compiled.CACHE, str(tmp_path / "cache"))
     load_plugin(str(file))
     scenario = load("paper", SHORT, "cautious")
     trace = compiled.simulate(scenario)
@@ -275,6 +275,7 @@ def test_workers_of_compare_and_campaign_know_it(file: Path, tmp_path: Path) -> 
     assert (found["runs"], found["completed"], found["engines"]) == (8, 1.0, {"plain": 8})
 
 
+@pytest.mark.slow
 def test_a_second_process_finds_it_compiled(file: Path, tmp_path: Path) -> None:
     """In the cache; once the file says something else, so does the run."""
     pytest.importorskip("numba")

@@ -3,12 +3,10 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
-import numpy as np
 import pytest
 
 pytest.importorskip("rclpy", reason="ROS 2 (rclpy) is not installed")
@@ -18,7 +16,7 @@ from sensor_msgs.msg import JointState
 from ftcm_core.scenario import load
 from ftcm_core.simulation import simulate
 from ftcm_ros.bags.reader import read_bag
-from ftcm_ros.parameters.node_parameters import ALL_NODES, NODES
+from ftcm_ros.parameters.node_parameters import ALL_NODES
 from ftcm_ros.transport.plane import qos
 from ftcm_ros.transport.topics import DETECTION
 from node_processes import node_pids
@@ -36,7 +34,7 @@ OVERRIDES = [
 def test_alarms_are_published_told_and_recorded_and_the_threshold_is_changed(
     live: Callable[..., Any], watcher: Any, tmp_path: Path, nodes: str
 ) -> None:
-    overrides = [*OVERRIDES, f"duration={40 if nodes == '--composed' else 12}"]
+    overrides = [*OVERRIDES, "duration=600"]
     run = live("paper", "--controllers", "ftcm", nodes, *(a for o in overrides for a in ("--set", o)))
     heard: list[JointState] = []
     watcher.node.create_subscription(JointState, DETECTION.name, heard.append, qos(DETECTION))
@@ -54,36 +52,23 @@ def test_alarms_are_published_told_and_recorded_and_the_threshold_is_changed(
     assert f"alarm: {told['alarms']}" in told["message"]
     run.change("detector", residual_threshold__threshold=[1000.0, 1000.0, 1000.0])
     run.until(lambda: run.health["detector"]["alarms"] == "", "an end of the alarms")
-    run.end()
+    run.interrupt()
     bag = read_bag(tmp_path / "runs" / "test" / "bags" / "ftcm")
-    assert bag.missing == {}
     assert set(bag.nodes) == set(ALL_NODES)
     ((tick, kind, component),) = ((c.tick, c.kind, c.component) for c in bag.trace.changes)
     assert (kind, component.threshold) == ("detector", (1000.0,) * 3)
-    assert same(bag.trace, simulate(load("paper", overrides), bag.trace.changes))
+    whole = bag.trace.ticks - 1  # a plant that is stopped may have served some of its last measurement only
+    as_far = load("paper", [*overrides, f"duration={whole * 1e-3:g}"])
+    assert same(bag.trace, simulate(as_far, bag.trace.changes), slice(whole))
     assert bag.trace.alarm is not None
     assert bag.trace.residual is not None
     assert bag.trace.alarm[:tick].any()
-    assert not bag.trace.alarm[tick:].any()
-    summary = json.loads((tmp_path / "runs" / "test" / "summary.json").read_text())
-    last = summary["timing"]["ftcm"]["nodes"]["detector"]  # the bag was closed before it
-    assert int(last["ticks_with_alarm"]) == bag.trace.alarm.any(axis=1).sum()
-    assert int(last["ticks"]) == bag.trace.ticks
+    assert not bag.trace.alarm[tick:whole].any()
     assert len(heard) > 100
     for message in heard[:: len(heard) // 50]:
         row = (message.header.stamp.sec * 10**9 + message.header.stamp.nanosec) // 1_000_000
+        if row >= whole:
+            continue
         assert list(message.position) == bag.trace.alarm[row].tolist()
         assert list(message.effort) == bag.trace.residual[row].tolist()
         assert len(message.velocity) == 0
-
-
-def test_there_is_none_by_default(live: Callable[..., Any], tmp_path: Path) -> None:
-    run = live("paper", "--controllers", "ftcm", "--set", "duration=6")
-    run.first_tick(("controller", "ftcm"), ("observer", "do"))
-    assert set(node_pids(run.process.pid)) == set(NODES)
-    run.end()
-    bag = read_bag(tmp_path / "runs" / "test" / "bags" / "ftcm")
-    assert set(bag.nodes) == set(NODES)
-    assert "detection" not in bag.stamps
-    assert not {"residual", "alarm"} & set(bag.trace.columns)
-    assert not np.isnan(bag.trace.disturbance_estimate).any()

@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import json
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -57,6 +58,10 @@ def test_a_fault_of_every_site_at_once(experiment: Callable[..., Any], tmp_path:
     assert same(bag.trace, expected)
     assert expected.alarm is not None
     assert 0 < expected.alarm.any(axis=1).sum() < expected.ticks
+    summary = json.loads((tmp_path / "runs" / "test" / "summary.json").read_text())
+    last = summary["timing"]["ftcm"]["nodes"]["detector"]  # the bag was closed before it
+    assert int(last["ticks_with_alarm"]) == expected.alarm.any(axis=1).sum()
+    assert int(last["ticks"]) == expected.ticks
     for i, fault in enumerate(scenario.faults):  # each of them has made a difference
         others = scenario.faults[:i] + scenario.faults[i + 1 :]
         assert not same(expected, simulate(replace(scenario, faults=others))), fault
@@ -75,8 +80,15 @@ def test_compiled_stages_give_the_compiled_run(
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("nodes", ["--composed", "--no-composed"])
-@pytest.mark.parametrize("fault", FAULTS[1:], ids=lambda f: f.get("topic", f["type"]))
+@pytest.mark.parametrize(
+    ("fault", "nodes"),
+    [
+        *(pytest.param(f, "--composed", id=f.get("topic", f["type"])) for f in FAULTS[1:]),
+        pytest.param(FAULTS[1], "--no-composed", id="processes, true state hidden"),
+        pytest.param(FAULTS[3], "--no-composed", id="processes, true state not hidden"),
+        pytest.param(FAULTS[4], "--no-composed", id="processes, a link"),
+    ],
+)
 def test_a_fault_by_itself(
     experiment: Callable[..., Any], tmp_path: Path, fault: dict[str, Any], nodes: str
 ) -> None:

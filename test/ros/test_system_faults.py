@@ -226,7 +226,7 @@ def test_a_fault_ends_its_run_only(
 @pytest.mark.parametrize("mode", ["lockstep", pytest.param("real_time", marks=pytest.mark.slow)])
 def test_a_node_stopped_for_a_moment_misses_nothing(start: Start, tmp_path: Path, mode: str) -> None:
     """Each node in turn, for longer than any scheduler keeps one waiting: what it finds then, it answers."""
-    duration = 30.0 if mode == "lockstep" else 12.0
+    duration = 16.0 if mode == "lockstep" else 12.0
     process = start(
         "experiment", "paper", "--controllers", "ftcm", "--mode", mode, "--no-composed", "--name", "test",
         "--no-figures", "--set", f"duration={duration}",
