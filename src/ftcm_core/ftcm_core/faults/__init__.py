@@ -240,6 +240,13 @@ class ProfiledFault(Fault):
             psi = psi * one_shot(since, self.period)
         return psi * self.severity
 
+    def check_share(self) -> None:
+        """Of a fault that takes the place of something there cannot be more than all."""
+        if self.severity > 1.0:
+            raise ParameterError(
+                f"severity: {self.severity:g} is more than the whole of it; expected at most 1"
+            )
+
 
 @dataclass(frozen=True, kw_only=True)
 class JointFault(ProfiledFault):

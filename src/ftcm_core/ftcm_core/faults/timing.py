@@ -82,3 +82,8 @@ def tick_number(t: float, dt: float) -> float:
 def scaled(psi: float, x: float) -> float:
     """ψ x; zero for ψ = 0, whatever x is."""
     return 0.0 if psi == 0.0 else psi * x
+
+
+def shifted(psi: float, x: float, y: float) -> float:
+    """Sum x + ψ y; x bit for bit for ψ = 0."""
+    return x if psi == 0.0 else x + psi * y
