@@ -47,17 +47,17 @@ _TITLES = {
 def reference_page() -> str:
     """Return the page, in Markdown."""
     parts = [_INTRO, "## Scenario", "Top-level keys besides the components, `initial_state` and `injection`:"]
-    parts += [_table(specs(Scenario).values()), "### `initial_state`", _table(specs(InitialState).values())]
+    parts += [table(specs(Scenario).values()), "### `initial_state`", table(specs(InitialState).values())]
     for kind in KINDS:
         parts.append(f"## {_TITLES.get(kind, kind.capitalize())}")
         for name, cls in components(kind).items():
             declared = list(specs(cls).values())
-            parts += [f"### `{name}`", _escape(summary(cls))]
+            parts += [f"### `{name}`", escape(summary(cls))]
             if hasattr(cls, "site"):
                 parts.append(f"Site: {cls.site}.")
             if getattr(cls, "needs_observer", False):
                 parts.append("Needs an observer.")
-            parts.append(_table(declared) if declared else "No parameters.")
+            parts.append(table(declared) if declared else "No parameters.")
     return "\n\n".join(part.strip() for part in parts) + "\n"
 
 
@@ -66,11 +66,12 @@ def main() -> int:
     return write_or_check("tools/reference_page.py", __doc__, FILE, reference_page())
 
 
-def _table(declared: Iterable[ParamSpec]) -> str:
+def table(declared: Iterable[ParamSpec]) -> str:
+    """Return parameters as a table, in Markdown."""
     lines = ["| name | default | unit | allowed | description | source |", "|---|---|---|---|---|---|"]
     for spec in declared:
         cells = (f"`{spec.name}`", _value(spec.default), spec.unit, _allowed(spec), spec.doc, spec.source)
-        lines.append("| " + " | ".join(_escape(c) for c in cells) + " |")
+        lines.append("| " + " | ".join(escape(c) for c in cells) + " |")
     return "\n".join(lines)
 
 
@@ -95,7 +96,8 @@ def _allowed(spec: ParamSpec) -> str:
     return text + (", per joint" if spec.per_joint else "") + (", or null" if spec.optional else "")
 
 
-def _escape(text: str) -> str:
+def escape(text: str) -> str:
+    """Return a text as Markdown shows it."""
     for mark in ("|", "<", "*"):
         text = text.replace(mark, "\\" + mark)
     return text

@@ -18,8 +18,8 @@ class FrozenSensor(SensorFault):
 
     How large ψ is does not matter.
 
-    Source: Alwi, Edwards and Tan (2011), Fault Detection and Fault-Tolerant Control Using Sliding Modes,
-    ch. 2; stuck-at in Ni et al. (2009), Sensor network data fault types, ACM TOSN 5(3).
+    Source: Alwi, Edwards and Tan (2011), Fault Detection and Fault-Tolerant Control Using Sliding Modes;
+    stuck-at in Ni et al. (2009), Sensor network data fault types, ACM TOSN 5(3).
     """
 
     rank: ClassVar[int] = 60

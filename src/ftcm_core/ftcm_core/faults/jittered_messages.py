@@ -18,7 +18,7 @@ class JitteredMessages(CommunicationFault):
     d_j is drawn anew for each message from 0 to ψ longest whole ticks, all with the same probability. Who
     reads the topic looks at the time of a message, and ignores one that a newer one has overtaken.
 
-    Source: Nilsson (1998), Real-time control systems with delays, Lund, ch. 3; Linux's NetEm, tc-netem(8).
+    Source: Nilsson (1998), Real-time control systems with delays, Lund; Linux's NetEm, tc-netem(8).
     """
 
     rank: ClassVar[int] = 70

@@ -18,7 +18,7 @@ class SensorNoise(SensorFault):
     """White noise: position = q + ψ noise n_1, velocity = q̇ + ψ velocity_noise n_2, n_i ~ N(0, 1) each tick.
 
     Source: a loss of accuracy; Alwi, Edwards and Tan (2011), Fault Detection and Fault-Tolerant Control Using
-    Sliding Modes, ch. 2.
+    Sliding Modes.
     """
 
     rank: ClassVar[int] = 30

@@ -15,7 +15,7 @@ from ftcm_core.signals import Vector
 
 @register("fault", "sensor_outliers")
 class SensorOutliers(SensorFault):
-    """Outliers: position = q + ψ s spike, velocity = q̇ + ψ s velocity_spike, s = ±1 or mostly 0.
+    """Outliers: position = q + ψ s spike, velocity = q̇ + ψ s velocity_spike, s = ±1 at random, else 0.
 
     s is drawn anew for each sample: 1 and -1 with half the probability each. A sample's position and velocity
     are off together.

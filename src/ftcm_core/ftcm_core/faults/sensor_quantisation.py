@@ -16,7 +16,7 @@ from ftcm_core.signals import Vector
 class SensorQuantisation(SensorFault):
     """Quantisation: position = Δ round(q / Δ), Δ = ψ resolution; the velocity with Δ = ψ velocity_resolution.
 
-    Source: Widrow and Kollár (2008), Quantization Noise, ch. 1.
+    Source: Widrow and Kollár (2008), Quantization Noise.
     """
 
     rank: ClassVar[int] = 40
