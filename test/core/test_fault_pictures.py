@@ -17,12 +17,14 @@ from hypothesis import strategies as st
 import fault_pictures as tool
 from ftcm_core.cli import main
 from ftcm_core.errors import FtcmError
+from ftcm_core.faults import Fault, RobotFault
 from ftcm_core.faults.loss_of_effectiveness import LossOfEffectiveness
 from ftcm_core.faults.payload_pickup import PayloadPickup
 from ftcm_core.faults.sensor_drift import SensorDrift
 from ftcm_core.faults.vo_kang_fault import VoKangFault
 from ftcm_core.registry import components
 from ftcm_core.report.fault_pictures import Panel, Shown, shown_of, thinned, write_picture
+from ftcm_core.robots import Robot
 
 pytest.importorskip("matplotlib")
 DOCS = Path(__file__).resolve().parents[2] / "docs"
@@ -98,6 +100,22 @@ def test_a_torque_in_the_paper_s_run_and_a_robot_against_the_one_without_fault()
     found = shown_of(PayloadPickup(start=0.2, mass=2.0))
     estimate = curves(found.rows[0][0])
     assert np.abs(estimate[1][-1]) > 5.0 * np.abs(estimate[0][-1])
+
+
+def test_a_fault_that_needs_a_payload_gets_one() -> None:
+    """What can only be dropped is there before."""
+
+    class Drop(RobotFault):
+        """Drops the payload: payload mass = 0."""
+
+        type_name = "drop"
+
+        def changed(self, robot: Robot) -> Robot:
+            """Without payload."""
+            return robot.unloaded()
+
+    (estimate,), _ = shown_of(Drop(start=0.2)).rows
+    assert np.abs(curves(estimate)[1][-1]) > 1.0
 
 
 @pytest.mark.parametrize("trigger", ["condition", "hand"])
@@ -209,7 +227,6 @@ def test_a_mistake_is_one_line(
 
 def test_a_site_that_nothing_is_known_of_is_said() -> None:
     """One line."""
-    from ftcm_core.faults import Fault
 
     class Strange(Fault):
         """Of no site."""

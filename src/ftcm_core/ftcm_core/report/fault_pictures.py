@@ -159,10 +159,10 @@ def picture(shown: Shown, title: str) -> Figure:
     size = Panel("", (("size: ψ × severity", shown.size, "0.35"),))
     for row, panels in zip(axes, [*shown.rows, (size,) * columns]):
         for ax, p in zip(row, panels):
-            for name, values, colour in p.curves:
+            for k, (name, values, colour) in enumerate(p.curves):
                 t, x = thinned(shown.time, values, shown.onset, 160 // columns)
                 style = "steps-post" if shown.stepped or p is size else "default"
-                width = 2.4 if colour == _GIVEN else 1.0
+                width = 1.0 + 0.9 * (len(p.curves) - 1 - k)  # none hides one before
                 ax.plot(t, x, color=colour, linewidth=width, drawstyle=style, label=name)
             ax.set_xlim(shown.time[0], shown.time[-1])
             mark_onsets(ax, [shown.onset])
@@ -218,7 +218,7 @@ def _scenario(fault: Fault, **more: Any) -> Scenario:
     """The paper's scenario with this fault alone; with a payload where the fault needs one."""
     paper = load("paper")
     robot = paper.robot
-    if fault.unsuited(robot):
+    if fault.unsuited(robot) or (isinstance(fault, RobotFault) and fault.changed(robot) == robot):
         robot = robot.loaded(2.0) or robot
     try:
         return replace(paper, robot=robot, disturbances=(), faults=(fault,), **more)
