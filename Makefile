@@ -98,8 +98,9 @@ lint: test-env ## Check style, format and types
 	    python -m ruff format --check --output-format concise . && python -m mypy
 
 .PHONY: docs
-docs: build ## Write what is generated: the reference pages in docs/ and the SROS2 policy
+docs: build ## Write what is generated: reference pages and pictures in docs/, the SROS2 policy
 	@$(call source,.venv,); python tools/reference_page.py docs/ && python tools/topics_page.py docs/ && \
+	    python tools/fault_pictures.py docs/ && \
 	    python tools/sros_policy.py config/security/
 
 .PHONY: bench

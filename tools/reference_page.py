@@ -11,6 +11,7 @@ import sys
 from collections.abc import Iterable
 from typing import Any
 
+from ftcm_core.faults import ProfiledFault
 from ftcm_core.params import ParamSpec, specs
 from ftcm_core.registry import KINDS, components, summary
 from ftcm_core.scenario import InitialState, Scenario
@@ -48,19 +49,25 @@ _TITLES = {
 def reference_page() -> str:
     """Return the page, in Markdown."""
     parts = [_INTRO, "## Scenario", "Top-level keys besides the components, `initial_state` and `injection`:"]
-    parts += [_table(specs(Scenario).values()), "### `initial_state`", _table(specs(InitialState).values())]
+    parts += [table(specs(Scenario).values()), "### `initial_state`", table(specs(InitialState).values())]
     for kind in KINDS:
         parts.append(f"## {_TITLES.get(kind, kind.capitalize())}")
+        if kind == "fault":
+            parts += ["Parameters that faults share:", table(specs(ProfiledFault).values())]
         for name, cls in components(kind).items():
             declared = list(specs(cls).values())
-            parts += [f"### `{name}`", _escape(summary(cls))]
+            parts += [f"### `{name}`", escape(summary(cls))]
             if hasattr(cls, "site"):
                 parts.append(f"Site: {cls.site}.")
             if getattr(cls, "needs_observer", False):
                 parts.append("Needs an observer.")
             if not getattr(cls, "needs_velocity", True):
                 parts.append("Does not look at the measured velocity.")
-            parts.append(_table(declared) if declared else "No parameters.")
+            if kind == "fault":
+                shared = [s for s in declared if s.name in specs(ProfiledFault)]
+                parts.append(f"Of every fault, above: {', '.join(f'`{s.name}`' for s in shared)}.")
+                declared = [s for s in declared if s not in shared]
+            parts.append(table(declared) if declared else "No parameters of its own.")
     return "\n\n".join(part.strip() for part in parts) + "\n"
 
 
@@ -69,11 +76,12 @@ def main() -> int:
     return write_or_check("tools/reference_page.py", __doc__, FILE, reference_page())
 
 
-def _table(declared: Iterable[ParamSpec]) -> str:
+def table(declared: Iterable[ParamSpec]) -> str:
+    """Return parameters as a table, in Markdown."""
     lines = ["| name | default | unit | allowed | description | source |", "|---|---|---|---|---|---|"]
     for spec in declared:
         cells = (f"`{spec.name}`", _value(spec.default), spec.unit, _allowed(spec), spec.doc, spec.source)
-        lines.append("| " + " | ".join(_escape(c) for c in cells) + " |")
+        lines.append("| " + " | ".join(escape(c) for c in cells) + " |")
     return "\n".join(lines)
 
 
@@ -98,7 +106,8 @@ def _allowed(spec: ParamSpec) -> str:
     return text + (", per joint" if spec.per_joint else "") + (", or null" if spec.optional else "")
 
 
-def _escape(text: str) -> str:
+def escape(text: str) -> str:
+    """Return a text as Markdown shows it."""
     for mark in ("|", "<", "*"):
         text = text.replace(mark, "\\" + mark)
     return text

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import argparse
 import sys
+from collections.abc import Callable
 from pathlib import Path
 
 from ftcm_ros.parameters.node_parameters import SETTINGS
@@ -55,7 +56,9 @@ def page() -> str:
     return "\n".join(lines)
 
 
-def write_or_check(tool: str, purpose: str | None, name: str, text: str) -> int:
+def write_or_check(
+    tool: str, purpose: str | None, name: str, text: str, more: Callable[[Path], None] | None = None
+) -> int:
     """Command line of a tool that generates a file: write it, or tell whether it is up to date.
 
     Args:
@@ -63,6 +66,7 @@ def write_or_check(tool: str, purpose: str | None, name: str, text: str) -> int:
         purpose: what it is for.
         name: name of the file in the folder.
         text: what is to be in it.
+        more: writes what else there is to write, to the folder.
 
     Returns:
         The exit status.
@@ -74,6 +78,8 @@ def write_or_check(tool: str, purpose: str | None, name: str, text: str) -> int:
     file = options.folder / name
     if not options.check:
         file.write_text(text, encoding="utf-8")
+        if more is not None:
+            more(options.folder)
     elif not file.is_file() or file.read_text(encoding="utf-8") != text:
         print(f"{file} is out of date; run: python {tool} {options.folder}", file=sys.stderr)
         return 1

@@ -46,3 +46,26 @@ def gaussian(key: float, counter: float) -> float:
     """
     radius = math.sqrt(-2.0 * math.log(uniform(key, 2.0 * counter)))
     return radius * math.cos(2.0 * math.pi * uniform(key, 2.0 * counter + 1.0))
+
+
+def gaussian_pair(key: float, counter: float) -> tuple[float, float]:
+    """Two independent numbers as of :func:`gaussian`, of the same two uniform ones; the first is that one.
+
+    Args:
+        key: as of :func:`gaussian`.
+        counter: as of :func:`gaussian`.
+    """
+    radius = math.sqrt(-2.0 * math.log(uniform(key, 2.0 * counter)))
+    angle = 2.0 * math.pi * uniform(key, 2.0 * counter + 1.0)
+    return radius * math.cos(angle), radius * math.sin(angle)
+
+
+def happens(probability: float, key: float, counter: float) -> float:
+    """1 with a probability, else 0, as number ``counter`` of a stream decides.
+
+    Args:
+        probability: 1 or more: always.
+        key: as of :func:`uniform`.
+        counter: as of :func:`uniform`.
+    """
+    return 1.0 if uniform(key, counter) < probability else 0.0

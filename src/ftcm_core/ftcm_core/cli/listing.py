@@ -6,13 +6,18 @@ from __future__ import annotations
 import argparse
 import math
 import textwrap
+from collections.abc import Sequence
+from pathlib import Path
 from typing import Any
 
-from ftcm_core.errors import FtcmError, suggestion
+from ftcm_core.cli.output import note
+from ftcm_core.errors import FtcmError, ParameterError, shown, suggestion
+from ftcm_core.faults import Fault
 from ftcm_core.params import specs
 from ftcm_core.registry import KINDS, Component, components, find, summary
+from ftcm_core.report.fault_pictures import write_picture
 from ftcm_core.report.results import to_json
-from ftcm_core.scenario import shipped_scenarios
+from ftcm_core.scenario import parse_yaml, shipped_scenarios
 
 
 def list_command(arguments: argparse.Namespace) -> int:
@@ -57,8 +62,32 @@ def describe_command(arguments: argparse.Namespace) -> int:
         options = " or ".join(f"{cls.kind}/{name}" for cls in matches)
         raise FtcmError(f"{name!r} is the name of several components; say {options}")
     cls = matches[0]
+    if arguments.picture is not None:
+        write_picture(_fault(cls, arguments.overrides), Path(arguments.picture))
+        note(f"picture: {arguments.picture}")
+    elif arguments.overrides:
+        raise FtcmError("--set: a description has no values to set; expected with --picture FILE")
     print(to_json(_description(cls)) if arguments.json else _description_text(cls))
     return 0
+
+
+def _fault(cls: type[Component], overrides: Sequence[str]) -> Fault:
+    """A fault at its defaults, but for some ``parameter=value``."""
+    if not issubclass(cls, Fault):
+        known = suggestion("", components("fault"))
+        raise FtcmError(f"--picture: {cls.kind} {cls.type_name!r} is no fault; {known}")
+    values = {name: spec.default for name, spec in specs(cls).items()}
+    for text in overrides:
+        name, equals, value = text.partition("=")
+        if not equals:
+            raise FtcmError(f"--set {shown(text)}: expected parameter=value")
+        if name not in values:
+            raise FtcmError(f"--set {shown(name)}: unknown parameter; {suggestion(name, values)}")
+        values[name], _ = parse_yaml(value, f"--set {name}")
+    try:
+        return cls(**values)
+    except ParameterError as error:
+        raise FtcmError(f"--set {error}") from None
 
 
 def _description(cls: type[Component]) -> dict[str, Any]:

@@ -177,5 +177,12 @@ def _parser() -> argparse.ArgumentParser:
         "describe", describe_command, "describe a component and its parameters", "ftcm describe ftcm"
     )
     sub.add_argument("name", metavar="NAME", help="name of a component, or KIND/NAME")
+    sub.add_argument(
+        "--picture", metavar="FILE", help="of a fault: draw what it does; FILE.svg, FILE.png or FILE.pdf"
+    )
+    sub.add_argument(
+        "--set", nargs="+", action="extend", default=[], metavar="PARAMETER=VALUE", dest="overrides",
+        help="of the picture: values other than the defaults, e.g. profile=ramp",
+    )  # fmt: skip
     sub.add_argument("--json", action="store_true", help="print one JSON object")
     return parser

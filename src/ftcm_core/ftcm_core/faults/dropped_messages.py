@@ -4,42 +4,26 @@
 from __future__ import annotations
 
 from ftcm_core.faults import CommunicationFault, Moment
-from ftcm_core.numeric import select
+from ftcm_core.faults.past import Message, either
 from ftcm_core.params import param
-from ftcm_core.random_streams import uniform
+from ftcm_core.random_streams import happens
 from ftcm_core.registry import register
-from ftcm_core.signals import Vector
 
 
 @register("fault", "dropped_messages")
 class DroppedMessages(CommunicationFault):
-    """Dropped messages: received = the last one received with P = ψ probability, else the one sent."""
+    """Dropped messages: received = the last one received with P = ψ probability, else the one sent.
+
+    Source: Sinopoli et al. (2004), Kalman filtering with intermittent observations, IEEE TAC 49(9).
+    """
 
     probability: float = param(
         0.1, unit="-", at_least=0.0, at_most=1.0, doc="share of the messages that get lost",
         source="chosen: a bad network",
     )  # fmt: skip
 
-    def receive(
-        self, size: float, now: Moment, message: tuple[Vector, ...], memory: tuple[Vector, ...]
-    ) -> tuple[tuple[Vector, ...], tuple[Vector, ...]]:
+    def receive(self, size: float, now: Moment, message: Message, memory: Message) -> tuple[Message, Message]:
         """The message sent, or the one held; the first never gets lost."""
-        gone = lost(size * self.probability, now.key, now.number)
-        received = tuple(
-            [
-                tuple([select(gone, old, new) for old, new in zip(held, sent)])
-                for held, sent in zip(memory or message, message)
-            ]
-        )
+        gone = happens(size * self.probability, now.key, now.number)
+        received = either(gone, memory or message, message)
         return received, received
-
-
-def lost(probability: float, key: float, number: float) -> float:
-    """1 if a message gets lost, else 0.
-
-    Args:
-        probability: of each message.
-        key: stream of random numbers.
-        number: which number of it.
-    """
-    return 1.0 if uniform(key, number) < probability else 0.0

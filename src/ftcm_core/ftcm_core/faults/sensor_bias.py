@@ -5,7 +5,8 @@ from __future__ import annotations
 
 from typing import Any, ClassVar
 
-from ftcm_core.faults import Moment, SensorFault, scaled
+from ftcm_core.faults import Moment, SensorFault
+from ftcm_core.faults.timing import shifted
 from ftcm_core.params import param
 from ftcm_core.registry import register
 from ftcm_core.signals import Vector
@@ -13,7 +14,10 @@ from ftcm_core.signals import Vector
 
 @register("fault", "sensor_bias")
 class SensorBias(SensorFault):
-    """Sensor bias: position = q + ψ bias, velocity = q̇ + ψ velocity_bias."""
+    """Sensor bias: position = q + ψ bias, velocity = q̇ + ψ velocity_bias.
+
+    Source: a calibration fault; Ni et al. (2009), Sensor network data fault types, ACM TOSN 5(3).
+    """
 
     rank: ClassVar[int] = 20
 
@@ -29,4 +33,4 @@ class SensorBias(SensorFault):
         p: Any, size: float, now: Moment, position: float, velocity: float, s: Vector
     ) -> tuple[float, float, Vector]:
         """Add the biases."""
-        return position + scaled(size, p.bias), velocity + scaled(size, p.velocity_bias), s
+        return shifted(size, position, p.bias), shifted(size, velocity, p.velocity_bias), s

@@ -6,7 +6,8 @@ from __future__ import annotations
 import math
 from typing import Any, ClassVar
 
-from ftcm_core.faults import Moment, SensorFault, scaled
+from ftcm_core.faults import Moment, SensorFault
+from ftcm_core.faults.timing import shifted
 from ftcm_core.params import param
 from ftcm_core.random_streams import gaussian
 from ftcm_core.registry import register
@@ -15,7 +16,10 @@ from ftcm_core.signals import Vector
 
 @register("fault", "sensor_drift")
 class SensorDrift(SensorFault):
-    """Sensor drift: position = q + ψ (drift (t - T_f) + w), w a random walk; velocity = q̇ + ψ drift."""
+    """Sensor drift: position = q + ψ (drift (t - T_f) + w), w a random walk; velocity = q̇ + ψ drift.
+
+    Source: a calibration fault; Ni et al. (2009), Sensor network data fault types, ACM TOSN 5(3).
+    """
 
     rank: ClassVar[int] = 20
     initial: ClassVar[Vector] = (0.0,)
@@ -36,8 +40,8 @@ class SensorDrift(SensorFault):
         """Add the drift to the position and its steady part to the velocity."""
         walk = s[0] + random_step(size, p.walk, now.dt, now.key, now.number)
         return (
-            position + scaled(size, p.drift * now.since + walk),
-            velocity + scaled(size, p.drift),
+            shifted(size, position, p.drift * now.since + walk),
+            shifted(size, velocity, p.drift),
             (walk,),
         )
 

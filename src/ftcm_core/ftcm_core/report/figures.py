@@ -13,11 +13,8 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-import numpy as np
-
-from ftcm_core.errors import FtcmError
 from ftcm_core.recording.trace import ENDED_EARLY, Array, Trace
-from ftcm_core.report.panels import MISSING, Curve, detail, grid, legend, log_panel, panel, wider
+from ftcm_core.report.panels import MISSING, Curve, detail, grid, legend, log_panel, panel, styled, wider
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -36,24 +33,6 @@ _STYLES: tuple[tuple[str, Any], ...] = (
     ("#a63c00", (0, (8, 2))),
 )
 """Colour (colour-blind safe, of differing lightness) and dashes, by position of the run."""
-_RC = {
-    "font.size": 8.0,
-    "axes.titlesize": 8.0,
-    "axes.labelsize": 8.0,
-    "xtick.labelsize": 7.0,
-    "ytick.labelsize": 7.0,
-    "legend.fontsize": 8.0,
-    "axes.linewidth": 0.6,
-    "axes.grid": True,
-    "grid.color": "0.9",
-    "grid.linewidth": 0.5,
-    "axes.axisbelow": True,
-    "axes.formatter.limits": (-4, 4),
-    "axes.formatter.use_mathtext": True,
-    "pdf.fonttype": 42,
-    "svg.fonttype": "none",
-    "svg.hashsalt": "ftcm",
-}
 
 
 def write_figures(traces: Sequence[Run], folder: Path, formats: Sequence[str] = ("png",)) -> list[Path]:
@@ -70,18 +49,11 @@ def write_figures(traces: Sequence[Run], folder: Path, formats: Sequence[str] = 
     Raises:
         FtcmError: matplotlib is not installed.
     """
-    try:
-        import matplotlib.style
-        from matplotlib.backends.backend_agg import FigureCanvasAgg
-    except ImportError:
-        raise FtcmError('figures need matplotlib: pip install "ftcm_core[figures]"') from None
-    folder.mkdir(parents=True, exist_ok=True)
     written = []
-    # The style context restores the user's own settings; runs that diverge may overflow.
-    with matplotlib.style.context(["default", _RC]), np.errstate(over="ignore", invalid="ignore"):
+    with styled():
+        folder.mkdir(parents=True, exist_ok=True)
         for name, draw in FIGURES.items():
             figure = draw(traces)
-            FigureCanvasAgg(figure)
             for suffix in formats:
                 path = folder / f"{name}.{suffix}"
                 figure.savefig(path, dpi=200)
@@ -170,7 +142,7 @@ def summary(traces: Sequence[Run]) -> Figure:
     """The last joint at a glance: error, torque and its detail, disturbance and estimate."""
     j = _joints(traces) - 1
     name = _joint(traces, j)
-    figure, axes = grid(2, 2, f"{name}: error, torque, disturbance", height=2.2)
+    figure, axes = grid(2, 2, f"{name}: error, torque, disturbance", height=2.2, hspace=0.42)
     every = [t for _, t in traces]
     errors = _curves(traces, lambda trace: trace.error, j)
     torques = _curves(traces, lambda trace: trace.command, j)

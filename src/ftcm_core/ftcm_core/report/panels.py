@@ -3,14 +3,16 @@
 
 from __future__ import annotations
 
+import contextlib
 import dataclasses
 import math
 import textwrap
-from collections.abc import Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from ftcm_core.errors import FtcmError
 from ftcm_core.recording.trace import Array, Trace
 
 if TYPE_CHECKING:
@@ -27,6 +29,41 @@ _NOTE = 48
 _ONSET = "fault onset"
 _BAND = 0.02
 """A run whose envelope is wider than this share of the panel is drawn as a band."""
+
+_RC = {
+    "font.size": 8.0,
+    "axes.titlesize": 8.0,
+    "axes.labelsize": 8.0,
+    "xtick.labelsize": 7.0,
+    "ytick.labelsize": 7.0,
+    "legend.fontsize": 8.0,
+    "axes.linewidth": 0.6,
+    "axes.grid": True,
+    "grid.color": "0.9",
+    "grid.linewidth": 0.5,
+    "axes.axisbelow": True,
+    "axes.formatter.limits": (-4, 4),
+    "axes.formatter.use_mathtext": True,
+    "pdf.fonttype": 42,
+    "svg.fonttype": "none",
+    "svg.hashsalt": "ftcm",
+}
+
+
+@contextlib.contextmanager
+def styled() -> Iterator[None]:
+    """Have figures look alike, whatever the user's own settings, which come back afterwards.
+
+    Raises:
+        FtcmError: matplotlib is not installed.
+    """
+    try:
+        import matplotlib.style
+    except ImportError:
+        raise FtcmError('figures need matplotlib: pip install "ftcm_core[figures]"') from None
+    # Runs that diverge may overflow.
+    with matplotlib.style.context(["default", _RC]), np.errstate(over="ignore", invalid="ignore"):
+        yield
 
 
 @dataclasses.dataclass(frozen=True)
@@ -205,12 +242,20 @@ def _mark_faults(ax: Axes, traces: Sequence[Trace]) -> None:
                     spans.add((onset, end))
     for onset, end in sorted(spans):
         ax.axvspan(onset, end, color="0.5", alpha=0.12, linewidth=0.0, zorder=0.5)
+    mark_onsets(ax, names)
     for onset, labels in sorted(names.items()):
-        ax.axvline(onset, color="0.35", linewidth=0.9, linestyle=(0, (2, 2)), zorder=2.5, label=_ONSET)
         ax.annotate(
             ", ".join(labels), (onset, 1.0), xycoords=("data", "axes fraction"), xytext=(1, -2),
             textcoords="offset points", rotation=90, ha="left", va="top", fontsize=4.5, color="0.35",
         )  # fmt: skip
+
+
+def mark_onsets(ax: Axes, onsets: Iterable[float]) -> None:
+    """Mark the onsets (s) that are within the axis."""
+    first, last = ax.get_xlim()
+    for onset in sorted(onsets):
+        if first <= onset < last:
+            ax.axvline(onset, color="0.35", linewidth=0.9, linestyle=(0, (2, 2)), zorder=2.5, label=_ONSET)
 
 
 def _label(ax: Axes, curve: Curve) -> None:
@@ -229,7 +274,9 @@ def grid(
     title: str,
     *,
     widths: Sequence[float] | None = None,
+    heights: Sequence[float] | None = None,
     height: float = 1.75,
+    hspace: float = 0.22,
 ) -> tuple[Figure, list[list[Axes]]]:
     """Make a figure as wide as the text of an A4 page with a grid of panels."""
     from matplotlib.figure import Figure
@@ -238,9 +285,9 @@ def grid(
     tall = rows * height + 1.1
     figure = Figure(figsize=(7.1, tall))
     spacing = figure.add_gridspec(
-        rows, columns, width_ratios=widths,
+        rows, columns, width_ratios=widths, height_ratios=heights,
         left=0.115, right=0.985, bottom=0.45 / tall, top=1.0 - 0.85 / tall,
-        hspace=0.22 if height < 2.0 else 0.42, wspace=0.18 if columns > 1 else 0.0,
+        hspace=hspace, wspace=0.18 if columns > 1 else 0.0,
     )  # fmt: skip
     axes = [[figure.add_subplot(spacing[r, c]) for c in range(columns)] for r in range(rows)]
     for ax in axes[-1]:
