@@ -55,7 +55,7 @@ def reference_page() -> str:
             parts += [f"### `{name}`", _escape(summary(cls))]
             if hasattr(cls, "site"):
                 parts.append(f"Site: {cls.site}.")
-            if getattr(cls, "needs_observer", False):
+            if getattr(cls(), "needs_observer", False):
                 parts.append("Needs an observer.")
             parts.append(_table(declared) if declared else "No parameters.")
     return "\n\n".join(part.strip() for part in parts) + "\n"

@@ -55,7 +55,7 @@ class Detection(NamedTuple):
     """What a detector says at tick k (``detection``)."""
 
     residual: Vector
-    """Difference between what is measured and what a healthy robot would do, N·m."""
+    """Difference between what is measured and what a healthy robot would do, N·m; of the motion, rad/s."""
     alarm: Vector
     """1 for a joint with an alarm, else 0."""
 
@@ -83,7 +83,7 @@ COLUMNS: dict[str, Column] = {
     "joint_torque": Column(
         "N·m", "torque on the joints over the tick that ended: drives, their faults, disturbance", "hidden"
     ),
-    "residual": Column("N·m", "the detector's residual", "detector"),
+    "residual": Column("N·m", "the detector's residual; rad/s where it is that of the motion", "detector"),
     "alarm": Column("-", "1 for a joint with an alarm, else 0", "detector"),
 }
 """Every recorded signal, in the order of a run's row."""

@@ -4,7 +4,7 @@
 from __future__ import annotations
 
 from abc import abstractmethod
-from typing import Any, ClassVar
+from typing import Any
 
 from ftcm_core.registry import Component
 from ftcm_core.robots import Robot
@@ -18,7 +18,14 @@ class Detector(Component):
     estimate; one that does not neither waits for it nor sees it.
     """
 
-    needs_observer: ClassVar[bool] = False
+    @property
+    def needs_observer(self) -> bool:
+        """Whether it uses the disturbance estimate; no, unless a class says otherwise."""
+        return False
+
+    def continues(self, before: Detector) -> bool:
+        """Whether it can go on with the state of another detector; if not, it starts afresh."""
+        return type(self) is type(before)
 
     @abstractmethod
     def init(self, joints: int) -> Any:
