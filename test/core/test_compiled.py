@@ -93,6 +93,7 @@ ONE_OF_EACH = {
             ("residual_threshold", "momentum"),
         )
     },
+    "isolating": ("detector={type: isolating, threshold: 0.1}", "injection.faults=[{type: sensor_bias}]"),
     "semi-implicit, substeps": ("plant={integrator: semi_implicit_euler, substeps: 2}",),
     "friction": ("robot.viscous_friction=1", "robot.coulomb_friction=[1, 2, 3]"),
     "other model": ("model={mass: '+20 %'}", "robot.payload_mass=2"),

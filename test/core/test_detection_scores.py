@@ -61,6 +61,7 @@ def test_a_fault_is_detected_by_the_first_alarm_that_begins_while_it_acts() -> N
         {
             "type": "sensor_bias", "joint": 2, "onset": 4.0, "end": 6.0, "detected": True,
             "delay": pytest.approx(0.3), "alarm_joints": [2, 3], "alarm_before": False,
+            "verdict": None, "verdict_joint": None,
         }
     ]  # fmt: skip
     assert (found["false_alarms"], found["transient_alarms"]) == (0, 0)
@@ -122,6 +123,23 @@ def test_there_are_no_scores_without_detector_or_truth() -> None:
     assert detection_scores(made({}, alarm=None)) is None
     always = scores(made({}, "{type: sensor_bias, start: 0}"))
     assert (always["exposure"], always["false_alarms_per_hour"]) == (0.0, None)
+
+
+def test_the_verdict_of_a_fault_is_what_was_said_most_of_what_can_be_told() -> None:
+    """`unknown` counts only where nothing else was said; what is said before or after the fault does not."""
+    said = np.zeros((TICKS, 3))
+    said[30:41, 0], said[61:, 0] = 3.0, 3.0
+    assert scores(made({}, verdict=said))["faults"][0]["verdict"] == "none"
+    said[41:61, 2] = 1.0
+    fault = scores(made({}, verdict=said))["faults"][0]
+    assert (fault["verdict"], fault["verdict_joint"]) == ("unknown", 3)
+    said[50:53, 1], said[55:57, 0] = 2.0, 4.0
+    fault = scores(made({}, verdict=said))["faults"][0]
+    assert (fault["verdict"], fault["verdict_joint"]) == ("sensor", 2)
+    found = pooled_scores([scores(made({}, verdict=said)), scores(made({}))])["isolation"]
+    assert found == {
+        "sensor_bias": {"none": 0, "unknown": 0, "sensor": 1, "loss_of_effectiveness": 0, "added_torque": 0}
+    }
 
 
 def test_runs_are_pooled() -> None:

@@ -74,7 +74,7 @@ def test_alarms_are_published_told_and_recorded_and_the_threshold_is_changed(
         row = (message.header.stamp.sec * 10**9 + message.header.stamp.nanosec) // 1_000_000
         assert list(message.position) == bag.trace.alarm[row].tolist()
         assert list(message.effort) == bag.trace.residual[row].tolist()
-        assert len(message.velocity) == 0
+        assert list(message.velocity) == bag.trace.verdict[row].tolist()
 
 
 def test_there_is_none_by_default(live: Callable[..., Any], tmp_path: Path) -> None:
@@ -85,5 +85,5 @@ def test_there_is_none_by_default(live: Callable[..., Any], tmp_path: Path) -> N
     bag = read_bag(tmp_path / "runs" / "test" / "bags" / "ftcm")
     assert set(bag.nodes) == set(NODES)
     assert "detection" not in bag.stamps
-    assert not {"residual", "alarm"} & set(bag.trace.columns)
+    assert not {"residual", "alarm", "verdict"} & set(bag.trace.columns)
     assert not np.isnan(bag.trace.disturbance_estimate).any()

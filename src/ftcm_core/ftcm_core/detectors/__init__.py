@@ -10,6 +10,9 @@ from ftcm_core.registry import Component
 from ftcm_core.robots import Robot
 from ftcm_core.signals import Detection, Measurement, Vector
 
+VERDICTS = ("none", "unknown", "sensor", "loss_of_effectiveness", "added_torque")
+"""What a detector may say of a joint; the verdict is the place in this tuple."""
+
 
 class Detector(Component):
     """A fault detector with explicit state: ``init`` once, then ``step`` once per tick.
@@ -46,5 +49,5 @@ class Detector(Component):
             state: what the last step returned.
 
         Returns:
-            Residuals and alarms, and the next state.
+            Residuals, alarms and, where it can tell, verdicts; and the next state.
         """

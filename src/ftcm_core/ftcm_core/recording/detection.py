@@ -20,6 +20,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
+from ftcm_core.detectors import VERDICTS
 from ftcm_core.recording.trace import Trace
 
 Flags = npt.NDArray[np.bool_]
@@ -81,6 +82,7 @@ def detection_scores(trace: Trace) -> dict[str, Any] | None:
                 "delay": None if at is None else float(time[at] - onset),
                 "alarm_joints": [] if at is None else [int(j) + 1 for j in np.flatnonzero(begun[at])],
                 "alarm_before": bool(first and flags[first - 1].any()),
+                **_verdict(trace, acts),
             }
         )
     settled = healthy & (time >= scenario.transient)
@@ -97,6 +99,21 @@ def detection_scores(trace: Trace) -> dict[str, Any] | None:
     }
 
 
+def _verdict(trace: Trace, rows: Flags) -> dict[str, Any]:
+    """What a detector said most of the time in some rows, and of which joint."""
+    if trace.verdict is None:
+        return {"verdict": None, "verdict_joint": None}
+    said = trace.verdict[rows]
+    counts = np.array([np.count_nonzero(said == code, axis=0) for code in range(len(VERDICTS))])
+    code = 0
+    for first in (2, 1):  # what can be told goes before `unknown`, and that before nothing
+        if counts[first:].any():
+            code = first + int(np.argmax(counts[first:].max(axis=1)))
+            break
+    joint = int(np.argmax(counts[code])) + 1 if code else None
+    return {"verdict": VERDICTS[code], "verdict_joint": joint}
+
+
 def pooled_scores(scores: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
     """Return the scores of many runs together.
 
@@ -107,6 +124,11 @@ def pooled_scores(scores: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
     """
     faults = [fault for one in scores for fault in one["faults"]]
     delays = [f["delay"] for f in faults if f["detected"]]
+    isolation: dict[str, dict[str, int]] = {}
+    for fault in faults:
+        row = isolation.setdefault(fault["type"], dict.fromkeys(VERDICTS, 0))
+        if fault["verdict"] is not None:
+            row[fault["verdict"]] += 1
     false, exposure = sum(s["false_alarms"] for s in scores), math.fsum(s["exposure"] for s in scores)
     interval = [x / exposure * HOUR for x in poisson_interval(false)] if exposure else None
     return {
@@ -120,6 +142,7 @@ def pooled_scores(scores: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
         "exposure": exposure,
         "false_alarms_per_hour": false / exposure * HOUR if exposure else None,
         "false_alarms_per_hour_95": interval,
+        "isolation": isolation,
     }
 
 

@@ -101,7 +101,9 @@ def detection_table(results: Sequence[Result]) -> str:
     having = [(run_name(r), r["detection"]) for r in results if r.get("detection")]
     if not having:
         return ""
-    found = [["run", "detector", "fault", "joint", "onset, s", "detected after, s", "alarm of joint"]]
+    found = [
+        ["run", "detector", "fault", "joint", "onset, s", "detected after, s", "alarm of joint", "verdict"]
+    ]
     false = [["run", "detector", "false alarms", "exposure, s", "per hour", "share of it in alarm"]]
     for name, one in having:
         for f in one["faults"]:
@@ -110,7 +112,12 @@ def detection_table(results: Sequence[Result]) -> str:
                 delay += ", alarm on before"
             joints = ", ".join(map(str, f["alarm_joints"])) or ABSENT
             joint = str(f["joint"] or "all")
-            found.append([name, one["detector"], f["type"], joint, _number(f["onset"], 6), delay, joints])
+            said = f["verdict"] or ABSENT
+            if f["verdict_joint"]:
+                said += f", joint {f['verdict_joint']}"
+            found.append(
+                [name, one["detector"], f["type"], joint, _number(f["onset"], 6), delay, joints, said]
+            )
         rate, share = _cell([one["false_alarms_per_hour"]], _large), _cell([one["false_share"]])
         false.append(
             [name, one["detector"], str(one["false_alarms"]), _number(one["exposure"], 6), rate, share]
