@@ -59,7 +59,7 @@ def reference_page() -> str:
             parts += [f"### `{name}`", escape(summary(cls))]
             if hasattr(cls, "site"):
                 parts.append(f"Site: {cls.site}.")
-            if getattr(cls, "needs_observer", False):
+            if getattr(cls(), "needs_observer", False):
                 parts.append("Needs an observer.")
             if not getattr(cls, "needs_velocity", True):
                 parts.append("Does not look at the measured velocity.")

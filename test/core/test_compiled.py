@@ -78,6 +78,16 @@ ONE_OF_EACH = {
     "encoder": ("sensor={type: encoder, noise: 0.0001}",),
     "no observer": ("controller.type=smc", "observer.type=none"),
     "detector": ("detector={type: residual_threshold, threshold: 1, hold: 0.003}",),
+    **{
+        f"{test} of {residual}": (f"detector={{type: {test}, residual: {residual}}}",)
+        for test, residual in (
+            ("adaptive_threshold", "estimate"),
+            ("cusum", "momentum"),
+            ("glr", "motion"),
+            ("residual_threshold", "momentum"),
+        )
+    },
+    "isolating": ("detector={type: isolating, threshold: 0.1}", "injection.faults=[{type: sensor_bias}]"),
     "semi-implicit, substeps": ("plant={integrator: semi_implicit_euler, substeps: 2}",),
     "friction": ("robot.viscous_friction=1", "robot.coulomb_friction=[1, 2, 3]"),
     "other model": ("model={mass: '+20 %'}", "robot.payload_mass=2"),

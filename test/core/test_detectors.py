@@ -76,7 +76,7 @@ def test_a_run_records_residuals_and_alarms() -> None:
     """The residual is the estimate of the same tick; alarms follow from it by threshold and time."""
     scenario = load("paper", [*FAULT, "detector={type: residual_threshold, threshold: 3, hold: 0.0045}"])
     trace = simulate(scenario)
-    assert list(trace.columns)[-2:] == ["residual", "alarm"]
+    assert list(trace.columns)[-3:] == ["residual", "alarm", "verdict"]
     assert trace.residual is not None
     assert trace.alarm is not None
     assert np.array_equal(trace.residual, trace.disturbance_estimate)
@@ -86,6 +86,8 @@ def test_a_run_records_residuals_and_alarms() -> None:
         run = np.where(row, run + 1, 0)
         expected[k] = run >= 5
     assert np.array_equal(trace.alarm, expected)
+    assert trace.verdict is not None
+    assert np.array_equal(trace.verdict, expected), "unknown, as it cannot tell"
     assert not trace.alarm[600:1001].any(), "friction alone is below the threshold"
     assert (raised(trace)[[0, 2]] > 1.0).all()
     assert (raised(trace)[[0, 2]] < 1.02).all()

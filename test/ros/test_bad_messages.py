@@ -45,7 +45,6 @@ GOOD = (
     CODEC.state.encode(5, (1.0, 2.0, 3.0), (4.0, 5.0, 6.0), (7.0, 8.0, 9.0)),
     CODEC.motion.encode(5, (1.0, 2.0, 3.0), (4.0, 5.0, 6.0)),
     CODEC.torque.encode(5, (1.0, 2.0, 3.0)),
-    CODEC.detection.encode(5, (1.0, 0.0, 1.0), (4.0, 5.0, 6.0)),
 )
 SIZE_FIELDS = (12, 20, 24, 36, 48, 60)
 """Where a message has the lengths of its texts and the number of names and of the first array."""

@@ -99,7 +99,7 @@ def test_every_column_there_is_reads_back_float_for_float(tmp_path: Path, storag
     write(tmp_path / "bag", trace, storage, leave_out={("detection", 7), ("true_state", 9)})
     bag = read_bag(tmp_path / "bag")
     assert bag.missing == {"detection": 1, "true_state": 1}
-    lost = {"residual": 7, "alarm": 7, "position": 9, "velocity": 9, "joint_torque": 9}
+    lost = {"residual": 7, "alarm": 7, "verdict": 7, "position": 9, "velocity": 9, "joint_torque": 9}
     for name, column in trace.columns.items():
         expected = column.copy()
         if name in lost:

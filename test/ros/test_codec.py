@@ -23,13 +23,11 @@ LAYOUTS = {
     "state": CODEC.state,
     "motion": CODEC.motion,
     "torque": CODEC.torque,
-    "detection": CODEC.detection,
 }
 ARRAYS = {
     "state": ("position", "velocity", "effort"),
     "motion": ("position", "velocity"),
     "torque": ("effort",),
-    "detection": ("position", "effort"),
 }
 floats = st.floats(allow_nan=False)
 vectors = st.tuples(floats, floats, floats)

@@ -71,4 +71,4 @@ def test_alarms_are_published_told_and_recorded_and_the_threshold_is_changed(
             continue
         assert list(message.position) == bag.trace.alarm[row].tolist()
         assert list(message.effort) == bag.trace.residual[row].tolist()
-        assert len(message.velocity) == 0
+        assert list(message.velocity) == bag.trace.verdict[row].tolist()

@@ -51,13 +51,28 @@ class TrueDisturbance(NamedTuple):
     """Added joint torque, N·m."""
 
 
-class Detection(NamedTuple):
+class _Detection(NamedTuple):
+    residual: Vector
+    alarm: Vector
+    verdict: Vector
+
+
+class Detection(_Detection):
     """What a detector says at tick k (``detection``)."""
 
-    residual: Vector
-    """Difference between what is measured and what a healthy robot would do, N·m."""
-    alarm: Vector
-    """1 for a joint with an alarm, else 0."""
+    __slots__ = ()
+
+    def __new__(cls, residual: Vector, alarm: Vector, verdict: Vector | None = None) -> Detection:
+        """Say what is seen in a tick, one number per joint.
+
+        Args:
+            residual: difference between what is measured and what a healthy robot would do, N·m; of the
+                motion, rad/s.
+            alarm: 1 for a joint with an alarm, else 0.
+            verdict: what is broken, an index of ``VERDICTS`` in :mod:`ftcm_core.detectors`; from a detector
+                that cannot tell, ``unknown`` for each alarm.
+        """
+        return super().__new__(cls, residual, alarm, alarm if verdict is None else verdict)
 
 
 class Column(NamedTuple):
@@ -83,8 +98,13 @@ COLUMNS: dict[str, Column] = {
     "joint_torque": Column(
         "N·m", "torque on the joints over the tick that ended: drives, their faults, disturbance", "hidden"
     ),
-    "residual": Column("N·m", "the detector's residual", "detector"),
+    "residual": Column("N·m", "the detector's residual; rad/s where it is that of the motion", "detector"),
     "alarm": Column("-", "1 for a joint with an alarm, else 0", "detector"),
+    "verdict": Column(
+        "-",
+        "what is broken: 0 nothing, 1 unknown, 2 sensor, 3 loss of effectiveness, 4 added torque",
+        "detector",
+    ),
 }
 """Every recorded signal, in the order of a run's row."""
 
@@ -128,7 +148,7 @@ CHANNELS = (
     Channel("disturbance", "injector", ("plant",), effort="disturbance"),
     Channel("reference", "controller", (), "reference_position", "reference_velocity"),
     Channel("true_state", "plant", ("injector",), "position", "velocity", "joint_torque", when="hidden"),
-    Channel("detection", "detector", (), position="alarm", effort="residual", when="detector"),
+    Channel("detection", "detector", (), "alarm", "verdict", "residual", when="detector"),
 )  # fmt: skip
 """Every data topic. The recorder reads all of them besides."""
 

@@ -116,7 +116,7 @@ def _description(cls: type[Component]) -> dict[str, Any]:
         "parameters": parameters,
     }
     if hasattr(cls, "needs_observer"):
-        described["needs_observer"] = cls.needs_observer
+        described["needs_observer"] = cls().needs_observer  # type: ignore[attr-defined]
     if hasattr(cls, "site"):
         described["site"] = cls.site
     return described
@@ -124,7 +124,7 @@ def _description(cls: type[Component]) -> dict[str, Any]:
 
 def _description_text(cls: type[Component]) -> str:
     lines = [f"{cls.kind} {cls.type_name}", *textwrap.wrap(summary(cls), 100, initial_indent="  ")]
-    if getattr(cls, "needs_observer", False):
+    if getattr(cls(), "needs_observer", False):
         lines.append("  Needs an observer.")
     if hasattr(cls, "site"):
         lines.append(f"  Site: {cls.site}.")

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The command ``ftcm``: simulate, compare, reproduce, campaign, suite, replay, list, describe.
+"""The command ``ftcm``: simulate, compare, campaign, suite, calibrate, replay, list, describe and others.
 
 Results go to stdout, warnings, progress and errors to stderr. Exit status: 0 done (a run that diverges is a
 result), 1 the machine failed (disk, memory) or a replay differs, 2 a mistake in what was asked, 130
@@ -17,6 +17,7 @@ from typing import Any
 
 import ftcm_core
 from ftcm_core import campaign
+from ftcm_core.cli.calibration import calibrate_command
 from ftcm_core.cli.listing import describe_command, list_command
 from ftcm_core.cli.output import drop_stdout, fail
 from ftcm_core.cli.replaying import replay_command, replay_options
@@ -84,6 +85,7 @@ def _parser() -> argparse.ArgumentParser:
                 "--set", nargs="+", action="extend", default=[], metavar="PATH=VALUE", dest="overrides",
                 help="change values of the scenario, e.g. observer.k1=10000",
             )  # fmt: skip
+            sub.add_argument("--detector-file", metavar="FILE", help="use the detector that calibrate wrote")
         sub.add_argument("--json", action="store_true", help="print one JSON object instead of tables")
         sub.add_argument("--output", metavar="DIR", help="write results, tables and figures to a new folder")
         sub.add_argument("--no-figures", action="store_true", help="leave the figures out of --output")
@@ -144,6 +146,7 @@ def _parser() -> argparse.ArgumentParser:
         "--set", nargs="+", action="extend", default=[], metavar="PATH=VALUE", dest="overrides",
         help="change values in every run",
     )  # fmt: skip
+    sub.add_argument("--detector-file", metavar="FILE", help="use the detector that calibrate wrote")
     sub.add_argument("--controllers", nargs="+", metavar="NAME", help="run every draw with each of these")
     sub.add_argument("--jobs", type=int, metavar="N", help="number of processes; default: one per core")
     sub.add_argument(
@@ -168,6 +171,34 @@ def _parser() -> argparse.ArgumentParser:
         "ftcm replay runs/a/bags/ftcm",
     )
     replay_options(sub)
+
+    sub = command(
+        "calibrate",
+        calibrate_command,
+        "find the thresholds of a detector for a rate of false alarms, from runs without faults",
+        "ftcm calibrate paper --detector cusum --false-alarms-per-hour 10 --output cusum.yaml",
+    )
+    sub.add_argument("scenario", metavar="SCENARIO", help="scenario file, or name of a shipped one")
+    sub.add_argument("--detector", metavar="NAME", help="detector to calibrate; default: the scenario's")
+    sub.add_argument(
+        "--false-alarms-per-hour", type=float, required=True, metavar="X",
+        help="of the whole robot, all joints together",
+    )  # fmt: skip
+    sub.add_argument("--runs", type=int, default=20, metavar="N", help="number of runs; default: 20")
+    sub.add_argument(
+        "--seed", type=int, metavar="N", help="runs have the seeds N + 1 on; default: scenario's"
+    )
+    sub.add_argument(
+        "--set", nargs="+", action="extend", default=[], metavar="PATH=VALUE", dest="overrides",
+        help="change values of the scenario, e.g. detector.residual=momentum",
+    )  # fmt: skip
+    sub.add_argument("--jobs", type=int, metavar="N", help="number of processes; default: one per core")
+    sub.add_argument(
+        "--engine", choices=campaign.ENGINES, default="auto",
+        help="compiled needs numba; auto: compiled where that is installed",
+    )  # fmt: skip
+    sub.add_argument("--json", action="store_true", help="print one JSON object instead of YAML")
+    sub.add_argument("--output", metavar="FILE", help="write the detector and where it comes from to a file")
 
     sub = command("list", list_command, "list scenarios and components", "ftcm list controller")
     sub.add_argument("kind", nargs="?", metavar="KIND", help=f"one of scenario, {', '.join(KINDS)}")

@@ -11,6 +11,7 @@ from collections.abc import Sequence
 from typing import Any
 
 from ftcm_core import campaign, compiled
+from ftcm_core.cli.calibration import detector_overrides
 from ftcm_core.cli.output import note, progress
 from ftcm_core.errors import FtcmError, ScenarioError
 from ftcm_core.parallel import run_parallel
@@ -41,6 +42,7 @@ def simulate_command(arguments: argparse.Namespace) -> int:
     if arguments.observer is not None:
         find("observer", arguments.observer)
         overrides.insert(0, f"observer.type={arguments.observer}")
+    overrides[:0] = detector_overrides(arguments.detector_file)
     scenario = load(sources[0], overrides, arguments.controller)
     folder = new_folder(arguments.output) if arguments.output is not None else None
     label = scenario.controller.type_name
@@ -66,6 +68,7 @@ def compare_command(arguments: argparse.Namespace) -> int:
     if not sources:
         raise FtcmError("compare runs one scenario or more; expected e.g. paper")
     _load_plugins(sources)
+    overrides = [*detector_overrides(arguments.detector_file), *arguments.overrides]
     names: list[str] = arguments.controllers or list(components("controller"))
     for name in names:
         find("controller", name)
@@ -73,7 +76,7 @@ def compare_command(arguments: argparse.Namespace) -> int:
     for source in sources:
         for name in dict.fromkeys(names):
             try:
-                scenario = load(source, arguments.overrides, name)
+                scenario = load(source, overrides, name)
             except ScenarioError as error:
                 if arguments.controllers or not error.unsuited:
                     raise ScenarioError(f"with controller {name}: {error}") from None
@@ -137,7 +140,7 @@ def campaign_command(arguments: argparse.Namespace) -> int:
         runs=planned.runs if arguments.runs is None else arguments.runs,
         seed=planned.seed if arguments.seed is None else arguments.seed,
         variations=(*(v for v in planned.variations if v.path not in again), *varied),
-        overrides=(*planned.overrides, *overrides),
+        overrides=(*planned.overrides, *detector_overrides(arguments.detector_file), *overrides),
         controllers=tuple(arguments.controllers or planned.controllers),
     )
     if arguments.jobs is not None and arguments.jobs < 1:

@@ -4,11 +4,14 @@
 from __future__ import annotations
 
 from abc import abstractmethod
-from typing import Any, ClassVar
+from typing import Any
 
 from ftcm_core.registry import Component
 from ftcm_core.robots import Robot
 from ftcm_core.signals import Detection, Measurement, Vector
+
+VERDICTS = ("none", "unknown", "sensor", "loss_of_effectiveness", "added_torque")
+"""What a detector may say of a joint; the verdict is the place in this tuple."""
 
 
 class Detector(Component):
@@ -18,7 +21,14 @@ class Detector(Component):
     estimate; one that does not neither waits for it nor sees it.
     """
 
-    needs_observer: ClassVar[bool] = False
+    @property
+    def needs_observer(self) -> bool:
+        """Whether it uses the disturbance estimate; no, unless a class says otherwise."""
+        return False
+
+    def continues(self, before: Detector) -> bool:
+        """Whether it can go on with the state of another detector; if not, it starts afresh."""
+        return type(self) is type(before)
 
     @abstractmethod
     def init(self, joints: int) -> Any:
@@ -39,5 +49,5 @@ class Detector(Component):
             state: what the last step returned.
 
         Returns:
-            Residuals and alarms, and the next state.
+            Residuals, alarms and, where it can tell, verdicts; and the next state.
         """

@@ -11,6 +11,7 @@ from typing import Any
 
 import numpy as np
 
+from ftcm_core.recording.detection import detection_scores
 from ftcm_core.recording.trace import Array, Trace
 
 SETTLING_BAND = 1e-3
@@ -177,7 +178,7 @@ def evaluate(trace: Trace) -> dict[str, dict[str, list[float | None]] | None]:
 
 
 def result(trace: Trace) -> dict[str, Any]:
-    """Return a run's result for programs: what ran, how it ended, its metrics.
+    """Return a run's result for programs: what ran, how it ended, its metrics, scores of its detector.
 
     ``settling_time_bound`` (eq 15, or the law's own) is the controller's bound from the initial error, per
     joint, beside the measured ``metrics.whole.settling_time``; null for a law without one.
@@ -199,6 +200,7 @@ def result(trace: Trace) -> dict[str, Any]:
         "first_torque": _finite(first),
         "settling_time_bound": _finite(np.array(bounds, dtype=np.float64)),
         "metrics": evaluate(trace),
+        "detection": detection_scores(trace),
         "changes": [{"tick": c.tick, "kind": c.kind, **c.component.to_mapping()} for c in trace.changes],
         "configuration": scenario.to_mapping() if scenario else None,
     }

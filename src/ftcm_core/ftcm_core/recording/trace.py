@@ -100,6 +100,7 @@ class Trace:
     """None where the torque on the joints was effort and disturbance as recorded."""
     residual: Array | None = None
     alarm: Array | None = None
+    verdict: Array | None = None
     scenario: Scenario | None = None
     status: str = "completed"
     """``completed``, ``diverged``, ``limit_exceeded``, or ``incomplete`` (ended before its duration)."""

@@ -190,7 +190,7 @@ def answering_stages(record: Record, computed: Computed) -> list[AnsweringStage]
         lambda _: ((nan,),))  # fmt: skip
     if scenario.detector:
         add("detector", DetectorStage(scenario), ("joint_states", "disturbance_estimate", "joint_torques"),
-            ("detection",), _detect, lambda _: ((zeros, nan),))  # fmt: skip
+            ("detection",), _detect, lambda _: ((zeros, zeros, nan),))  # fmt: skip
     return found
 
 
@@ -232,4 +232,4 @@ def _inject(stage: Any, time_ns: int, inputs: tuple[Message, ...], ticks: int) -
 def _detect(stage: Any, time_ns: int, inputs: tuple[Message, ...], ticks: int) -> Answer:
     y, (tau_hat,), (u,) = inputs
     found = stage.step(Measurement(*y), u, tau_hat, ticks)
-    return ((found.alarm, found.residual),)
+    return ((found.alarm, found.verdict, found.residual),)

@@ -13,11 +13,12 @@ from pathlib import Path
 from typing import Any
 
 from ftcm_core.errors import FtcmError
+from ftcm_core.recording.detection import pooled_scores
 from ftcm_core.recording.metrics import result
 from ftcm_core.recording.provenance import provenance
 from ftcm_core.recording.trace import Trace
 from ftcm_core.report.figures import write_figures
-from ftcm_core.report.table import comparison_table, paper_table, settling_table
+from ftcm_core.report.table import comparison_table, detection_table, paper_table, settling_table
 
 
 def to_json(value: Any, indent: int | None = None) -> str:
@@ -68,7 +69,9 @@ def write_results(
     results = [labelled(label, trace) for label, trace in traces]
     seeds = {t.scenario.seed for _, t in traces if t.scenario}
     seed = seeds.pop() if len(seeds) == 1 else None  # each result's configuration has its own
-    summary = {"results": results, "provenance": {**provenance(), "seed": seed}, **(extra or {})}
+    scores = [one["detection"] for one in results if one["detection"]]
+    detection = {"detection": pooled_scores(scores)} if scores else {}
+    summary = {"results": results, **detection, "provenance": {**provenance(), "seed": seed}, **(extra or {})}
     with writing(folder):
         folder.mkdir(parents=True, exist_ok=True)
         (folder / "summary.json").write_text(to_json(summary, indent=1) + "\n", encoding="utf-8")
@@ -102,7 +105,13 @@ def labelled(label: str, trace: Trace) -> dict[str, Any]:
 
 def report(results: Sequence[dict[str, Any]], more: str = "") -> str:
     """Return every table of some results, in Markdown, and what else is to be said."""
-    tables = (comparison_table(results), settling_table(results), paper_table(results), more)
+    tables = (
+        comparison_table(results),
+        settling_table(results),
+        detection_table(results),
+        paper_table(results),
+        more,
+    )
     return "\n".join(text for text in tables if text)
 
 

@@ -12,6 +12,7 @@ from typing import Any
 
 from tabulate import tabulate
 
+from ftcm_core.recording.detection import pooled_scores
 from ftcm_core.recording.metrics import SETTLING_BAND
 from ftcm_core.scenario import load, shipped_scenarios
 
@@ -94,6 +95,61 @@ def settling_table(results: Sequence[Result]) -> str:
         "reach it comes on top.\n\n"
         f"{markdown(rows)}\n"
     )
+
+
+def detection_table(results: Sequence[Result]) -> str:
+    """Faults detected and missed, and false alarms, in Markdown; empty when no run has a detector."""
+    having = [(run_name(r), r["detection"]) for r in results if r.get("detection")]
+    if not having:
+        return ""
+    found = [
+        ["run", "detector", "fault", "joint", "onset, s", "detected after, s", "alarm of joint", "verdict"]
+    ]
+    false = [["run", "detector", "false alarms", "exposure, s", "per hour", "share of it in alarm"]]
+    for name, one in having:
+        for f in one["faults"]:
+            delay = _number(f["delay"]) if f["detected"] else "missed"
+            if not f["detected"] and f["alarm_before"]:
+                delay += ", alarm on before"
+            joints = ", ".join(map(str, f["alarm_joints"])) or ABSENT
+            joint = str(f["joint"] or "all")
+            said = f["verdict"] or ABSENT
+            if f["verdict_joint"]:
+                said += f", joint {f['verdict_joint']}"
+            found.append(
+                [name, one["detector"], f["type"], joint, _number(f["onset"], 6), delay, joints, said]
+            )
+        rate, share = _cell([one["false_alarms_per_hour"]], _large), _cell([one["false_share"]])
+        false.append(
+            [name, one["detector"], str(one["false_alarms"]), _number(one["exposure"], 6), rate, share]
+        )
+    lines = []
+    if len(found) > 1:
+        lines = ["Faults detected: an alarm begins while the fault acts.", "", markdown(found), ""]
+    lines += [
+        "False alarms: those that begin after the transient while no fault acts; the exposure is that time.",
+        "",
+        markdown(false),
+    ]
+    if len(having) > 1:
+        lines += ["", _pooled(pooled_scores([one for _, one in having]))]
+    return "\n".join(lines) + "\n"
+
+
+def _pooled(total: Result) -> str:
+    text = f"Together, {total['runs']} runs: "
+    if total["faults"]:
+        text += f"{total['missed']} of {total['faults']} faults missed; "
+    if total["delay_median"] is not None:
+        text += f"delay {total['delay_median']:.3g} s (median), {total['delay_q95']:.3g} s (95 %); "
+    text += f"{total['false_alarms']} false alarms in {total['exposure']:.6g} s"
+    if total["exposure"]:
+        low, high = total["false_alarms_per_hour_95"]
+        rate = total["false_alarms_per_hour"]
+        text += (
+            f", {_large(rate)} per hour (95 %: {_large(low)} to {_large(high)} if they come independently)"
+        )
+    return text + "."
 
 
 def paper_table(results: Sequence[Result]) -> str:

@@ -68,7 +68,7 @@ class Loop:
             row += (*y.position, *y.velocity, *self.plant.joint_torque)
         if self.detector:
             found = self.detector.step(y, u, tau_hat)
-            row += (*found.residual, *found.alarm)
+            row += (*found.residual, *found.alarm, *found.verdict)
         return row, u, d
 
     def tick(self, time_ns: int, last: bool, record: Callable[[Vector], object]) -> str:

@@ -479,8 +479,8 @@ class DetectorStage:
         self.state: Any = self.detector.init(self.model.joints)
 
     def swap(self, detector: Detector) -> None:
-        """Use another detector from the next tick on; one of another kind starts afresh."""
-        if type(detector) is not type(self.detector):
+        """Use another detector from the next tick on; one that cannot go on with the state starts afresh."""
+        if not detector.continues(self.detector):
             self.state = detector.init(self.model.joints)
         self.detector = detector
 

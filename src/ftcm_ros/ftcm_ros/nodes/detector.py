@@ -23,7 +23,7 @@ class DetectorNode(ComponentNode):
     """Runs the fault detector; one that uses no observer does not wait for the estimate."""
 
     def __init__(self, composition: Composition | None = None) -> None:
-        """Subscribe what a detector looks at, publish residuals and alarms.
+        """Subscribe what a detector looks at, publish residuals, alarms and verdicts.
 
         Raises:
             FtcmError: the scenario has no detector.
@@ -32,7 +32,7 @@ class DetectorNode(ComponentNode):
         self.listen(
             {JOINT_STATES: ("position", "velocity", "effort"), ESTIMATE: ("effort",), TORQUES: ("effort",)}
         )
-        self._detection = self.plane.sender(DETECTION, self.codec.detection)
+        self._detection = self.plane.sender(DETECTION, self.codec.state)
         self._zeros = (0.0,) * self.scenario.robot.joints
         self.alarms = 0
         """Ticks with an alarm."""
@@ -58,7 +58,7 @@ class DetectorNode(ComponentNode):
         self._require(cast(Detector, component))
 
     def answer(self, time_ns: int, values: dict[str, JointSample]) -> Answer:
-        """One set of residuals and alarms."""
+        """One set of residuals, alarms and verdicts."""
         estimate = values.get(ESTIMATE.name)
         try:
             found = self.stage.step(
@@ -73,7 +73,9 @@ class DetectorNode(ComponentNode):
         self.alarms += any(found.alarm)
         self.last = found
         self.announce(time_ns, self.stage.detector, found.residual)
-        return [(self._detection.send, self._detection.ready(time_ns, found.alarm, found.residual))]
+        return [
+            (self._detection.send, self._detection.ready(time_ns, found.alarm, found.verdict, found.residual))
+        ]
 
     def health(self) -> tuple[str, str, dict[str, Any]]:
         """Besides, which joints have an alarm."""

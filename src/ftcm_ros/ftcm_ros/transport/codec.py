@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Signals to and from ``sensor_msgs/JointState`` in CDR, without message objects on the tick path.
 
-The suite's own messages have one of four fixed layouts (which arrays are filled), encoded and
+The suite's own messages have one of three fixed layouts (which arrays are filled), encoded and
 decoded with one :mod:`struct` call. Any other JointState (another joint order, extra joints, another
 byte order) is read by rosbags and its joints are taken by name, or it is refused with the reason.
 """
@@ -155,14 +155,12 @@ class JointStateCodec:
         """Prepare the layouts for these joints."""
         self.joint_names = joint_names
         self.state = Layout(joint_names, (True, True, True))
-        """joint_states: position, velocity and effort."""
+        """joint_states: position, velocity and effort. detection: alarms, verdicts and residuals."""
         self.motion = Layout(joint_names, (True, True, False))
         """reference: position and velocity."""
         self.torque = Layout(joint_names, (False, False, True))
         """joint_torques, disturbance, disturbance_estimate: effort."""
-        self.detection = Layout(joint_names, (True, False, True))
-        """detection: alarms as position, residuals as effort."""
-        self.layouts = (self.state, self.torque, self.motion, self.detection)
+        self.layouts = (self.state, self.torque, self.motion)
         """All of the suite's own."""
         typestore().get_msgdef(JOINT_STATE)  # now: no message of the general path is to wait for it
 
