@@ -13,7 +13,7 @@ import pytest
 
 from ftcm_ros.parameters.node_parameters import ALL_NODES
 
-EXECUTABLES = {*ALL_NODES, "composed", "experiment", "analyse", "replay"}
+EXECUTABLES = {*ALL_NODES, "composed", "experiment", "analyse", "fault", "replay"}
 
 
 def prefix_of(package):

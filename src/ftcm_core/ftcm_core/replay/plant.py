@@ -131,8 +131,8 @@ class ReplayedPlant:
         """Whether it is known what the plant remembers."""
         limited = scenario.limits.torque is not None or scenario.limits.torque_step is not None
         self._doubtful = not record.lockstep and limited and bool(self._plain.links[1].faults)
-        """Whether that may never be known: a drive at its limit does the same whatever it gets, but which
-        messages are dropped depends on how many it got."""
+        """Whether that may never be known: a drive at its limit does the same whatever it gets, but what acts
+        when the next message is dropped is the last one that it got."""
         self._patience = PATIENCE
         self._open = 0
         """For how many ticks more it may show which of several possibilities it was."""
