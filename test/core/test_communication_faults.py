@@ -22,6 +22,7 @@ from ftcm_core.recording.trace import Trace
 from ftcm_core.registry import components
 from ftcm_core.scenario import Scenario, load
 from ftcm_core.simulation import Loop, simulate
+from ftcm_core.simulation.fault_chain import FaultChain
 from traces import close
 from written_tick import WrittenTick, state_numbers
 
@@ -213,9 +214,14 @@ ALL = (
 )
 
 
-def test_all_of_them_are_tried_together() -> None:
-    """None is left out below."""
-    assert sorted(f.type_name for f in scenario(*ALL).faults) == FAULTS
+def test_all_of_them_act_by_rank() -> None:
+    """None is left out below; first what loses messages, then what delays them."""
+    order = [fault.type_name for fault in FaultChain(scenario(*ALL), CommunicationFault).faults]
+    assert sorted(order) == FAULTS
+    assert order == [
+        "dropped_messages", "delayed_messages", "jittered_messages", "reordered_messages",
+        "duplicated_messages",
+    ]  # fmt: skip
 
 
 def test_the_source_of_the_compiled_run_gives_the_plain_run_bit_for_bit() -> None:

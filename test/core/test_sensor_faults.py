@@ -22,6 +22,7 @@ from ftcm_core.recording.trace import Trace
 from ftcm_core.registry import components
 from ftcm_core.scenario import Scenario, load
 from ftcm_core.simulation import Loop, simulate
+from ftcm_core.simulation.fault_chain import FaultChain
 from traces import close
 from written_tick import WrittenTick, state_numbers
 
@@ -332,6 +333,11 @@ def test_all_of_them_are_tried_together() -> None:
 
 def test_they_act_by_rank_whatever_their_order_in_the_scenario() -> None:
     """First the gain, then bias and drift, rounding, then what loses or delays samples."""
+    order = [fault.type_name for fault in FaultChain(scenario(*ALL), SensorFault).faults]
+    assert order == [
+        "sensor_gain", "sensor_bias", "sensor_drift", "coloured_noise", "sensor_noise", "sensor_quantisation",
+        "sensor_outliers", "frozen_sensor", "sensor_dropout", "sensor_delay",
+    ]  # fmt: skip
     one = run(*ALL)
     other = run(*reversed(ALL))
     assert np.array_equal(np.asarray(one.measured_position), np.asarray(other.measured_position))

@@ -31,12 +31,12 @@ from ftcm_core.faults import (
 )
 from ftcm_core.faults.timing import NEVER
 from ftcm_core.params import specs
-from ftcm_core.recording.trace import Array
+from ftcm_core.recording.trace import Array, Trace
 from ftcm_core.report.panels import grid, legend, mark_onsets, styled
 from ftcm_core.scenario import Scenario, load, replace
 from ftcm_core.signals import Vector, seconds
 from ftcm_core.simulation.fault_chain import FaultChain, Phase
-from ftcm_core.simulation.loop import Loop, to_trace
+from ftcm_core.simulation.loop import Loop, simulate, to_trace
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -44,13 +44,14 @@ if TYPE_CHECKING:
 SUFFIXES = (".svg", ".png", ".pdf")
 LONGEST = 100.0
 """Latest onset of a fault that needs a run, s."""
-_BEFORE, _AFTER = 0.5, 1.5
-"""How long before and after its onset a fault is shown, s."""
-_TICKS_BEFORE, _TICKS_AFTER = 10, 60
+_BEFORE, _AFTER = 500, 1500
+"""How many ticks, of 1 ms, a fault is shown before and after its onset."""
+_FEW_BEFORE, _FEW_AFTER = 10, 60
 """The same of a topic, where single messages are seen."""
 _GIVEN, _MADE, _BETWEEN = "#f0a830", "#17257a", "#a63c00"
 """Colours of what is true or sent, of what the fault makes of it, and of the difference."""
 _JOINTS = ("#e69f00", "#2f86c1", "#17257a")
+"""Colours of the joints of the paper's robot."""
 _SHORT = 0.1
 """A fault over after this, s, is shown at its own scale."""
 
@@ -74,7 +75,7 @@ class Shown(NamedTuple):
     size: Array
     """ψ times severity, or where there is no such thing 1 while the fault acts."""
     onset: float
-    """When it sets in, s; nan if it does not."""
+    """When it sets in, s; :data:`~ftcm_core.faults.timing.NEVER` if it does not."""
     stepped: bool = False
     """Whether values hold up to the next tick."""
 
@@ -116,7 +117,7 @@ def write_figure(draw: Callable[[], Figure], file: Path) -> None:
     with styled():
         buffer = io.BytesIO()
         suffix = file.suffix.lower().removeprefix(".")
-        draw().savefig(buffer, format=suffix, dpi=150, metadata=_UNDATED.get(suffix))
+        draw().savefig(buffer, format=suffix, dpi=150)
     content = buffer.getvalue()
     if suffix == "svg":
         content = small(content.decode()).encode()
@@ -124,17 +125,15 @@ def write_figure(draw: Callable[[], Figure], file: Path) -> None:
 
 
 def small(svg: str) -> str:
-    """Return an SVG of matplotlib without what cannot be seen: more digits, names of groups, white space.
+    """Return an SVG of matplotlib without what is not seen: the date, digits, names of groups, white space.
 
-    Each look is said once, as a class of its own.
+    Each look is said once, as a class of its own; that what follows M in a path are lines is not said.
     """
     svg = re.sub(r"<!DOCTYPE.*?>|<metadata>.*?</metadata>", "", svg, flags=re.DOTALL)
     svg = re.sub(r'(?<=<g) id="[^"]*"', "", svg)
     svg = re.sub(r">\s+<", "><", re.sub(r"\s*\n\s*", " ", svg))
     svg = re.sub(r' (?:d|x|y)="[^"]*"', lambda found: re.sub(r"(\.\d)\d+", r"\1", found[0]), svg)
-    svg = re.sub(
-        r' d="[-\d. MLz]*"', lambda found: found[0].replace(" L", ""), svg
-    )  # what follows M is a line
+    svg = re.sub(r' d="[-\d. MLz]*"', lambda found: found[0].replace(" L", ""), svg)
     svg = re.sub(r"(?<=font-family: )[^;\"]*", "'DejaVu Sans', Verdana, sans-serif", svg)
     looks: dict[str, str] = {}
     svg = re.sub(
@@ -144,28 +143,21 @@ def small(svg: str) -> str:
     return svg.replace("</style>", declared + "</style>")
 
 
-_UNDATED: dict[str, dict[str, Any]] = {
-    "svg": {"Date": None, "Creator": None},
-    "pdf": {"CreationDate": None},
-}
-"""What would make two files of the same content differ."""
-
-
-def picture(shown: Shown, title: str) -> Figure:
+def picture(found: Shown, title: str) -> Figure:
     """Draw the panels, and the size of the fault below them."""
-    columns = len(shown.rows[0])
-    heights = [1.6, *([1.0] * (len(shown.rows) - 1)), 0.5]
+    columns = len(found.rows[0])
+    heights = [1.6, *([1.0] * (len(found.rows) - 1)), 0.5]
     figure, axes = grid(len(heights), columns, title, heights=heights, height=1.25, hspace=0.35)
-    size = Panel("", (("size: ψ × severity", shown.size, "0.35"),))
-    for row, panels in zip(axes, [*shown.rows, (size,) * columns]):
+    size = Panel("", (("size: ψ × severity", found.size, "0.35"),))
+    for row, panels in zip(axes, [*found.rows, (size,) * columns]):
         for ax, p in zip(row, panels):
             for k, (name, values, colour) in enumerate(p.curves):
-                t, x = thinned(shown.time, values, shown.onset, 160 // columns)
-                style = "steps-post" if shown.stepped or p is size else "default"
+                t, x = thinned(found.time, values, found.onset, 160 // columns)
+                style = "steps-post" if found.stepped or p is size else "default"
                 width = 1.0 + 0.9 * (len(p.curves) - 1 - k)  # none hides one before
                 ax.plot(t, x, color=colour, linewidth=width, drawstyle=style, label=name)
-            ax.set_xlim(shown.time[0], shown.time[-1])
-            mark_onsets(ax, [shown.onset])
+            ax.set_xlim(found.time[0], found.time[-1])
+            mark_onsets(ax, [found.onset])
             ax.set_title(p.title)
             ax.tick_params(labelbottom=row is axes[-1])
             ax.locator_params(axis="x", nbins=8 // columns, prune="upper")
@@ -250,7 +242,7 @@ def _stepped(
     dt, dt_ns = scenario.dt, scenario.dt_ns
     chain = FaultChain(scenario, Fault)
     (state,) = chain.init(scenario.robot.joints)
-    middle = math.floor(fault.start / dt + 0.5)
+    middle = _onset_tick(fault, scenario)
     first = max(0, middle - ticks[0])
     time, kept, sizes = [], [], []
     for k in range(first, middle + ticks[1] + 1):
@@ -282,7 +274,7 @@ def _of_actuator(fault: ActuatorFault) -> Shown:
         applied, state = fault.step(t, dt, torque, q, v, state)
         return (torque[0], applied[_joint(fault)]), state
 
-    time, found, size, onset = _stepped(fault, _ticks(), step)
+    time, found, size, onset = _stepped(fault, (_BEFORE, _AFTER), step)
     return _compared(time, size, onset, [Pair("torque, N·m", "of the drive", "on the joint", *found.T)])
 
 
@@ -292,7 +284,7 @@ def _of_sensor(fault: SensorFault) -> Shown:
         position, velocity, state = fault.step(t, dt, q, v, state, (q, v, torque))
         return (q[0], position[_joint(fault)], v[0], velocity[_joint(fault)]), state
 
-    time, found, size, onset = _stepped(fault, _ticks(), step)
+    time, found, size, onset = _stepped(fault, (_BEFORE, _AFTER), step)
     position = Pair("position, rad", "true", "reported", *found.T[:2])
     velocity = Pair("velocity, rad/s", "true", "reported", *found.T[2:])
     both = [position, velocity]
@@ -306,14 +298,9 @@ def _of_topic(fault: CommunicationFault) -> Shown:
         ((received,),), state = fault.step(t, dt, ((float(k),),), state, (q, v, torque))
         return (float(k), received), state
 
-    time, found, size, onset = _stepped(fault, (_TICKS_BEFORE, _TICKS_AFTER), step)
+    time, found, size, onset = _stepped(fault, (_FEW_BEFORE, _FEW_AFTER), step)
     pair = Pair("number of the message", "sent", "received", *found.T)
     return _compared(time, size, onset, [pair])._replace(stepped=True)
-
-
-def _ticks() -> tuple[int, int]:
-    dt = load("paper").dt
-    return round(_BEFORE / dt), round(_AFTER / dt)
 
 
 class Pair(NamedTuple):
@@ -336,55 +323,62 @@ def _compared(time: Array, size: Array, onset: float, pairs: Sequence[Pair]) -> 
 # ---- faults of the dynamics ----
 
 
-def _run(fault: Fault, scenario: Scenario) -> tuple[Any, Array, float]:
+def _run(fault: Fault, scenario: Scenario) -> tuple[Trace, Array, float]:
     """Run a scenario: the trace, the fault's sizes by tick, and its onset (s)."""
     loop, rows, sizes = Loop(scenario), array("d"), []
-    last, dt_ns, middle = scenario.last_tick, scenario.dt_ns, math.floor(fault.start / scenario.dt + 0.5)
-    reason, phase, k = "", Phase(NEVER, NEVER), 0
-    for k in range(last + 1):
-        if fault.trigger == "hand" and k == middle:
+    (first,) = FaultChain(scenario, Fault).init(scenario.robot.joints)
+    phase, reason, k = Phase(NEVER, NEVER), "", 0
+    for k in range(scenario.last_tick + 1):
+        time_ns = k * scenario.dt_ns
+        if fault.trigger == "hand" and k == _onset_tick(fault, scenario):
             for stage in (loop.plant, loop.injector):
-                stage.order(0, "arm", seconds(k * dt_ns))
-        reason = loop.tick(k * dt_ns, k == last, rows.extend)
+                stage.order(0, "arm", seconds(time_ns))
+        reason = loop.tick(time_ns, k == scenario.last_tick, rows.extend)
+        phase = {**loop.plant.phases(), **loop.injector.phases()}[0]
+        sizes.append(_size(fault, seconds(time_ns), phase, first.key))
         if reason:
             break
-        phase = {**loop.plant.phases(), **loop.injector.phases()}.get(0, phase)
-        sizes.append(_size(fault, seconds(k * dt_ns), phase, 0.0))
-    trace = to_trace(scenario, np.frombuffer(rows), *loop.ended(k * dt_ns, reason))
-    return trace, np.array(sizes), phase.onset
+    trace = to_trace(scenario, np.frombuffer(rows), *loop.ended(k * scenario.dt_ns, reason))
+    return trace, np.array(sizes[: trace.ticks]), phase.onset
 
 
-def _before_and_after(fault: Fault) -> tuple[float, float]:
-    """From when to when the run of a fault is shown, s."""
+def _onset_tick(fault: Fault, scenario: Scenario) -> int:
+    return math.floor(fault.start / scenario.dt + 0.5)
+
+
+def _long_enough(fault: Fault) -> tuple[Scenario, int]:
+    """The scenario of a fault up to where it has been seen, and the first tick that is shown."""
     if fault.start > LONGEST:
         raise FtcmError(
             f"start: {fault.start:g} s is too late for a picture, which takes a run; "
             f"expected at most {LONGEST:g}"
         )
-    return max(0.0, fault.start - _BEFORE), fault.start + _AFTER
+    scenario = _scenario(fault)
+    middle = _onset_tick(fault, scenario)
+    duration = seconds((middle + _AFTER) * scenario.dt_ns)
+    return replace(scenario, duration=duration), max(0, middle - _BEFORE)
 
 
 def _of_torque(fault: AdditiveFault) -> Shown:
-    first, last = _before_and_after(fault)
-    trace, size, onset = _run(fault, _scenario(fault, duration=last))
-    time, torque = trace.time, trace.disturbance
-    acting = time[torque.any(axis=1)]
+    scenario, first = _long_enough(fault)
+    trace, size, onset = _run(fault, scenario)
+    rows = slice(first, None)
+    acting = trace.time[trace.disturbance.any(axis=1)]
     if len(acting) and acting[-1] - onset < _SHORT:
-        first, last = onset - (acting[-1] - onset), onset + 3.0 * (acting[-1] - onset)
-    rows = (first <= time) & (time <= last)
-    panel = Panel("added torque, N·m", _by_joint(trace.joint_names, torque[rows]))
-    return Shown(time[rows], ((panel,),), size[rows], onset)
+        span = acting[-1] - onset
+        rows = slice(*np.searchsorted(trace.time, [onset - span, onset + 3.0 * span]).tolist())
+    panel = Panel("added torque, N·m" + _ended(trace), _by_joint(trace, trace.disturbance[rows]))
+    return Shown(trace.time[rows], ((panel,),), size[rows], onset)
 
 
 def _of_robot(fault: RobotFault) -> Shown:
-    first, last = _before_and_after(fault)
-    scenario = _scenario(fault, duration=last)
+    scenario, first = _long_enough(fault)
     trace, size, onset = _run(fault, scenario)
-    healthy, _, _ = _run(fault, replace(scenario, faults=()))
-    rows = slice(int(np.searchsorted(trace.time, first)), trace.ticks)
+    healthy = simulate(replace(scenario, faults=()))
+    rows = slice(first, min(trace.ticks, healthy.ticks))
 
-    def change(title: str, column: Callable[[Any], Array]) -> tuple[Panel]:
-        return (Panel(title, _by_joint(trace.joint_names, column(trace)[rows] - column(healthy)[rows])),)
+    def change(title: str, column: Callable[[Trace], Array]) -> tuple[Panel]:
+        return (Panel(title + _ended(trace), _by_joint(trace, column(trace)[rows] - column(healthy)[rows])),)
 
     panels = (
         change("change of the estimate by the fault, N·m", lambda x: x.disturbance_estimate),
@@ -393,9 +387,13 @@ def _of_robot(fault: RobotFault) -> Shown:
     return Shown(trace.time[rows], panels, size[rows], onset)
 
 
-def _by_joint(names: Sequence[str], table: Array) -> tuple[tuple[str, Array, str], ...]:
+def _ended(trace: Trace) -> str:
+    return "" if trace.status == "completed" else f" ({trace.status})"
+
+
+def _by_joint(trace: Trace, table: Array) -> tuple[tuple[str, Array, str], ...]:
     """A curve for each joint, of an array of shape (ticks, joints)."""
-    return tuple([(name, x, _JOINTS[j % len(_JOINTS)]) for j, (name, x) in enumerate(zip(names, table.T))])
+    return tuple([(name, x, colour) for name, x, colour in zip(trace.joint_names, table.T, _JOINTS)])
 
 
 _SITES: tuple[tuple[type[Fault], Callable[[Any], Shown]], ...] = (
