@@ -10,7 +10,16 @@ from typing import Any, NamedTuple
 
 from ftcm_core.compiled.stage import CompiledStage, compiled_stage, stage_program
 from ftcm_core.recording.trace import Change
-from ftcm_core.replay.record import PATIENCE, Message, Record, distance, plain_state, recall, remember
+from ftcm_core.replay.record import (
+    PATIENCE,
+    Message,
+    Record,
+    alike,
+    distance,
+    plain_state,
+    recall,
+    remember,
+)
 from ftcm_core.signals import Measurement, seconds
 from ftcm_core.simulation.stages import ControllerStage, DetectorStage, InjectorStage, ObserverStage
 
@@ -64,23 +73,18 @@ class AnsweringStage:
         """Whether it has answered."""
 
     def change(self, component: Any) -> None:
-        """Use another component from this tick on."""
-        stage, found = self._stage, []
-        for possibility in self._possible:
+        """Use another component from this tick on; one of another kind starts afresh."""
+        stage, possible = self._stage, []
+        keeps = type(component) is type(getattr(stage, self.name))
+        for possibility in self._possible:  # memories of compiled stages are of one component
             recall(stage, possibility.memory)
-            state = plain_state(stage)
-            plain = getattr(stage, "stage", stage)
-            old = getattr(plain, self.name)
-            plain.swap(component)
-            afresh = type(component) is not type(old)
-            found.append(Possibility(plain.state, 1 if afresh else possibility.ticks))
-            setattr(plain, self.name, old)
-            plain.state = state
+            possible.append(possibility._replace(memory=plain_state(stage)))
+        recall(stage, possible[0].memory)
         if isinstance(stage, CompiledStage):
             stage.swap(component, stage_program(self.name, self._record.scenario, component))
         else:
             stage.swap(component)
-        self._possible = found
+        self._possible = possible if keeps else [Possibility(remember(stage))]
 
     def order(self, number: int, action: str, t: float) -> None:
         """Arm or clear a fault by hand at t, s, where this stage has any."""
@@ -114,23 +118,20 @@ class AnsweringStage:
             found = found[:1]
         for i, topic in enumerate(self.outputs):
             self._computed[topic][k] = distinct(answer[i] for _, answer, _ in found[:MOST])
-        following = [possibility for _, _, possibility in found[:MOST]]
-        lost = any(record.at(topic, k) is None for topic in self._inputs)
+        following: list[Possibility] = []
+        for _, _, possibility in found[:MOST]:
+            if not any(alike(possibility.memory, other.memory) for other in following):
+                following.append(possibility)
         if record.lockstep or known:
-            self._possible = following
-            self._begun = True
-        else:  # it has skipped this tick, or its answer is lost
-            lost = True
+            self._possible, self._begun = following, True
+        else:  # it has skipped this tick, or its answer is lost: of all that may be, the first and the last
             skipped = [p._replace(ticks=p.ticks + self._begun) for p in self._possible]
-            self._possible = [
-                *following[: MOST // 2],
-                *skipped[-(MOST // 2) :],
-            ]  # all answered, none answered
+            self._possible = [*following[: MOST // 2], *skipped[-(MOST // 2) :]]
         if record.lockstep:
             return
         if known and best == 0.0:
             self._sure = True
-        elif lost:
+        elif not known or any(record.at(topic, k) is None for topic in self._inputs):
             self._sure = False
         if known and best > 0.0 and not self._sure:
             self.undecided.append(k)
@@ -155,9 +156,7 @@ def heard_at(record: Record, computed: Computed, topic: str, k: int) -> list[Mes
     recorded, ours = record.at(topic, k), computed[topic][k]
     if recorded is None:
         return ours
-    if recorded in ours:  # what is not a number is not heard by any stage
-        return [recorded]
-    return [recorded, *ours]
+    return [recorded] if recorded in ours else [recorded, *ours]
 
 
 def distinct(messages: Iterable[Message]) -> list[Message]:

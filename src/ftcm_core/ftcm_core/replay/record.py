@@ -7,6 +7,8 @@ import dataclasses
 from collections.abc import Iterable, Mapping, Sequence
 from typing import Any
 
+import numpy as np
+
 from ftcm_core.compiled.stage import CompiledStage
 from ftcm_core.recording.trace import Change
 from ftcm_core.scenario import Scenario
@@ -49,7 +51,7 @@ class Record:
     def at(self, topic: str, tick: int) -> Message | None:
         """Return what was said on a topic at a tick, None if nothing is known."""
         said = self.said.get(topic)
-        return said[tick] if said is not None and tick < len(said) else None
+        return said[tick] if said else None
 
 
 def channels_of(scenario: Scenario) -> dict[str, Channel]:
@@ -89,6 +91,13 @@ def recall(stage: Any, memory: Any) -> None:
         stage.recall(memory)
     else:
         stage.state = memory
+
+
+def alike(memory: Any, other: Any) -> bool:
+    """Whether a stage with one memory is a stage with the other; not said of compiled and plain memories."""
+    if isinstance(memory, np.ndarray) or isinstance(other, np.ndarray):
+        return type(memory) is type(other) and np.array_equal(memory, other)
+    return bool(memory == other)
 
 
 def plain_state(stage: Any) -> Any:
