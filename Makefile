@@ -87,8 +87,9 @@ else
 	@bash .ci/env jazzy || { [ $$? -eq 3 ] || exit 1; echo '==> test-jazzy: SKIPPED, numpy 1.26 needs Python 3.10 to 3.12'; exit 0; }; \
 	[ -e .venv-jazzy/.done-jazzy ] || exit 0; \
 	$(call colcon_build,.venv-jazzy,.venv-jazzy/); \
-	echo '==> test-jazzy: the tests not marked slow, with the versions of Ubuntu 24.04'; \
-	$(call source,.venv-jazzy,.venv-jazzy/); $(call pytest,not slow and not docker)
+	echo '==> test-jazzy: quick tests of what depends on packages, with the versions of Ubuntu 24.04'; \
+	$(call source,.venv-jazzy,.venv-jazzy/); \
+	$(call pytest,not slow and not docker and (versions or not (ros or pure)))
 endif
 
 .PHONY: lint

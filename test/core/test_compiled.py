@@ -29,6 +29,8 @@ from plugins import ROBOTS, robots_known, scenario_mapping
 from traces import close
 from written_tick import WrittenTick, state_numbers
 
+pytestmark = pytest.mark.pure
+
 FEW_TICKS = ("duration=0.3", "transient=0.1", "injection.faults.0.start=0.2")
 VARIANTS = {
     "paper": (),

@@ -27,6 +27,8 @@ from ftcm_core.scenario import InitialState, Scenario, from_mapping
 from ftcm_core.signals import Measurement, ReferencePoint, Vector
 from plugins import ROBOTS
 
+pytestmark = pytest.mark.pure
+
 DT, KEY = 1e-3, 12345.0
 ROBOT = Puma560()
 SITES = {

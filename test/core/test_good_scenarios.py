@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import functools
 import json
 import warnings
 from typing import Any
@@ -76,6 +77,7 @@ def beliefs(bound: float) -> st.SearchStrategy[dict[str, Any]]:
     return st.one_of(robots(bound), percent.map(lambda p: {p[0]: f"{p[1]:+d} %"}))
 
 
+@functools.cache  # they would be made anew for every scenario
 def scenarios(
     bound: float, most: int = 100, **given: st.SearchStrategy[Any]
 ) -> st.SearchStrategy[dict[str, Any]]:
@@ -143,6 +145,7 @@ ONLY_A_PAYLOAD: dict[str, Any] = {
 """That its model, the robot without payload, cannot be, was not said in a line."""
 
 
+@pytest.mark.slow
 @inputs(
     1000, of=1700, examples=({"data": LINE_BREAK}, {"data": ONLY_A_PAYLOAD}), data=sizes.flatmap(scenarios)
 )

@@ -91,6 +91,7 @@ def test_tools_are_not_installed(root):
 
 
 @pytest.mark.ros
+@pytest.mark.versions
 @pytest.mark.parametrize("package", ["ftcm_core", "ftcm_ros"])
 def test_every_entry_point_loads(package, tmp_path):
     prefix_of(package)

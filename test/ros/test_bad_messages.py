@@ -315,6 +315,7 @@ def bags() -> Iterator[dict[str, Path]]:
         yield found
 
 
+@pytest.mark.slow
 def test_damaged_bags(bags: dict[str, Path]) -> None:
     """Bytes of the bag or its metadata changed, cut or added: read, or refused in one line."""
 

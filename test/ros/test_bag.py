@@ -569,6 +569,7 @@ def test_a_bag_has_the_checksums_of_the_format(sound: Path) -> None:
     assert read_bag(sound).damage == ""
 
 
+@pytest.mark.slow
 def test_one_changed_byte_is_noticed_wherever_it_is(trace: Trace, sound: Path, tmp_path: Path) -> None:
     """What is left is what was recorded; the ticks that are not are named."""
     (file,) = sound.glob("*.mcap")

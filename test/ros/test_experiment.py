@@ -38,7 +38,7 @@ def bag_of(folder: Path, controller: str) -> BagContents:
     return read_bag(folder / "runs" / "test" / "bags" / controller)
 
 
-@pytest.mark.parametrize("controller", ["ftcm", pytest.param("smc", marks=pytest.mark.slow)])
+@pytest.mark.parametrize("controller", [pytest.param("ftcm", marks=pytest.mark.versions), "smc"])
 def test_lockstep_equals_the_in_process_run(experiment: Experiment, tmp_path: Path, controller: str) -> None:
     """Every other law too: see the swap in test_robots.py."""
     overrides = ["duration=1.0", "injection.faults.0.start=0.5"]
@@ -57,7 +57,10 @@ def test_lockstep_equals_the_in_process_run(experiment: Experiment, tmp_path: Pa
     assert set(summary["timing_us"][controller]) == {"observer", "controller", "injector", "chain"}
 
 
-@pytest.mark.parametrize(("path", "storage"), [("executor", "sqlite3"), ("waitset", "mcap")])
+@pytest.mark.parametrize(
+    ("path", "storage"),
+    [pytest.param("executor", "sqlite3", marks=pytest.mark.versions), ("waitset", "mcap")],
+)
 def test_every_data_path_and_storage_gives_the_same(
     experiment: Experiment, tmp_path: Path, path: str, storage: str
 ) -> None:
@@ -101,7 +104,7 @@ def test_the_paper_experiment_over_the_graph(experiment: Experiment, tmp_path: P
     assert "missed deadlines" not in table
 
 
-@pytest.mark.parametrize("nodes", ["--composed", "--no-composed"])
+@pytest.mark.parametrize("nodes", ["--composed", pytest.param("--no-composed", marks=pytest.mark.versions)])
 def test_real_time_counts_every_miss_and_holds_the_torque(
     experiment: Experiment, tmp_path: Path, nodes: str
 ) -> None:
@@ -220,7 +223,7 @@ def run_until_ticks(process: subprocess.Popen[str]) -> None:
     pytest.fail("the experiment ended before its first progress line")
 
 
-@pytest.mark.parametrize("number", [signal.SIGINT, pytest.param(signal.SIGTERM, marks=pytest.mark.slow)])
+@pytest.mark.parametrize("number", [pytest.param(signal.SIGINT, marks=pytest.mark.versions), signal.SIGTERM])
 def test_stopping_keeps_what_was_recorded(start: Start, tmp_path: Path, number: signal.Signals) -> None:
     process = start("experiment", "paper", "--controllers", "smc", "ftcm", "--name", "test", "--no-figures")
     run_until_ticks(process)
@@ -265,6 +268,7 @@ def test_an_experiment_that_is_killed_leaves_a_bag_and_nothing_else(
     assert shared_memory() == []
 
 
+@pytest.mark.versions
 def test_a_run_that_diverges_is_a_result(experiment: Experiment, tmp_path: Path) -> None:
     overrides = ["duration=2", "dt=0.02"]
     arguments = [a for o in overrides for a in ("--set", o)]

@@ -23,7 +23,7 @@ from ftcm_ros.transport.network import PROFILES, SHOWN, set_defaults
 from programs import program
 from traces import same
 
-pytestmark = [pytest.mark.ros, pytest.mark.alone]
+pytestmark = pytest.mark.ros
 
 WAIT_SECONDS = 60.0
 """Generous ceiling for what is to happen."""

@@ -81,7 +81,9 @@ def detected(tmp_path: Path) -> str:
     return "detected.yaml"
 
 
-@pytest.mark.parametrize("kind", ["controller", "observer", "detector"])
+@pytest.mark.parametrize(
+    "kind", [pytest.param("controller", marks=pytest.mark.versions), "observer", "detector"]
+)
 def test_every_component_parameter_is_a_described_ros_parameter(
     start: Start, watcher: Any, detected: str, kind: str
 ) -> None:
@@ -96,6 +98,7 @@ def test_every_component_parameter_is_a_described_ros_parameter(
         assert spec.interval in descriptor.additional_constraints
 
 
+@pytest.mark.versions
 def test_bad_values_are_refused_whole_and_numbers_are_taken_as_meant(start: Start, watcher: Any) -> None:
     node(start, "controller")
     for values, reason in (
@@ -138,6 +141,7 @@ def test_a_node_alone_is_active_and_stops_cleanly(
     assert "Traceback" not in out + err
 
 
+@pytest.mark.versions
 def test_nodes_by_hand_run_in_real_time_and_are_recorded(start: Start, watcher: Any, tmp_path: Path) -> None:
     scenario = tmp_path / "short.yaml"
     text = "{robot: puma560, reference: vo_kang_cosine, controller: smc, observer: none, duration: 2}"

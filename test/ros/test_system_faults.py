@@ -144,7 +144,8 @@ ROUNDS = {
 
 
 @pytest.mark.parametrize(
-    "name", [pytest.param(n, marks=() if n.startswith("quick") else pytest.mark.slow) for n in ROUNDS]
+    "name",
+    [pytest.param(n, marks=pytest.mark.versions if n == "quick composed lockstep" else ()) for n in ROUNDS],
 )
 def test_a_fault_ends_its_run_only(
     start: Start,
@@ -223,7 +224,7 @@ def test_a_fault_ends_its_run_only(
     assert shared_memory() == []
 
 
-@pytest.mark.parametrize("mode", ["lockstep", pytest.param("real_time", marks=pytest.mark.slow)])
+@pytest.mark.parametrize("mode", ["lockstep", "real_time"])
 def test_a_node_stopped_for_a_moment_misses_nothing(start: Start, tmp_path: Path, mode: str) -> None:
     """Each node in turn, for longer than any scheduler keeps one waiting: what it finds then, it answers."""
     duration = 16.0 if mode == "lockstep" else 12.0
