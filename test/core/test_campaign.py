@@ -105,6 +105,22 @@ def test_summary_is_of_the_completed_runs(tmp_path):
     assert "completed" in campaign.table(summary)
 
 
+def test_the_scores_of_a_detector_are_pooled_over_the_runs(tmp_path):
+    onset = parse_variation("injection.faults.0.start=uniform(0.6, 0.9)")
+    wanted = Campaign(
+        "paper",
+        runs=3,
+        variations=(onset,),
+        overrides=("duration=1", "transient=0.5", "detector={type: cusum, residual: momentum}"),
+    )
+    summary = campaign.run_campaign(wanted, engine="plain", jobs=1, folder=tmp_path)
+    found = summary["results"]["ftcm"]["detection"]
+    runs = [r["detection"] for r in campaign.read_runs(tmp_path / "runs.jsonl")]
+    assert (found["runs"], found["faults"]) == (3, 3)
+    assert found["delay_median"] == statistics.median(r["faults"][0]["delay"] for r in runs)
+    assert "Together, 3 runs: 0 of 3 faults missed; delay" in campaign.table(summary)
+
+
 @pytest.mark.parametrize(
     ("text", "said"),
     [

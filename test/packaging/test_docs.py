@@ -252,7 +252,7 @@ def test_every_component_of_the_template_is_found(installed, tmp_path):
 def test_the_template_runs_compiled_as_it_does_plainly(installed, tmp_path):
     pytest.importorskip("numba", reason="numba is not installed")
     code = "two = compiled.simulate(scenario)\nsame = lambda a, b: numpy.allclose(a, b, rtol=1e-9, atol=1e-9)"
-    assert compare(code, installed, tmp_path) == [13, 4001, []]
+    assert compare(code, installed, tmp_path) == [14, 4001, []]
 
 
 @pip_installs
@@ -269,4 +269,4 @@ bag = read_bag(Path("runs/test/bags/my_pd_plus"))
 assert bag.missing == {}
 two, same = bag.trace, numpy.array_equal
 """
-    assert compare(code, installed, tmp_path) == [13, 4001, []]
+    assert compare(code, installed, tmp_path) == [14, 4001, []]

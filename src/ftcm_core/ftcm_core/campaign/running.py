@@ -14,6 +14,7 @@ from ftcm_core import compiled
 from ftcm_core.campaign.plan import Campaign, Run
 from ftcm_core.campaign.statistics import Statistics, table
 from ftcm_core.parallel import run_parallel
+from ftcm_core.recording.detection import detection_scores
 from ftcm_core.recording.metrics import METRICS, evaluate
 from ftcm_core.recording.provenance import provenance
 from ftcm_core.report.results import to_json
@@ -84,6 +85,7 @@ def run_one(campaign: Campaign, run: Run, engine: str) -> dict[str, Any]:
         "detail": trace.detail,
         "engine": ran,
         "metrics": evaluate(trace),
+        **({"detection": detection_scores(trace)} if scenario.detector else {}),
     }
 
 

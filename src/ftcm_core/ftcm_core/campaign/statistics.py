@@ -9,8 +9,9 @@ from typing import Any
 
 import numpy as np
 
+from ftcm_core.recording.detection import pooled_scores
 from ftcm_core.recording.trace import ENDED_EARLY
-from ftcm_core.report.table import markdown
+from ftcm_core.report.table import markdown, pooled_text
 
 QUANTILES = {"median": 0.5, "q05": 0.05, "q95": 0.95}
 SHOWN = (
@@ -28,13 +29,16 @@ class Statistics:
         self.states: dict[str, int] = {}
         self.engines: dict[str, int] = {}
         self.columns: dict[tuple[str, str, int], list[float]] = {}
+        self.scores: list[dict[str, Any]] = []
 
     def add(self, result: dict[str, Any]) -> None:
-        """Count a run, and keep its metrics if it completed."""
+        """Count a run, and keep its metrics, and the scores of its detector, if it completed."""
         self.states[result["status"]] = self.states.get(result["status"], 0) + 1
         self.engines[result["engine"]] = self.engines.get(result["engine"], 0) + 1
         if result["status"] != "completed":
             return
+        if result.get("detection"):
+            self.scores.append(result["detection"])
         for window, metrics in result["metrics"].items():
             for metric, values in (metrics or {}).items():
                 for joint, x in enumerate(values):
@@ -57,6 +61,7 @@ class Statistics:
             **{status: self.states.get(status, 0) / count for status in ENDED_EARLY},
             "engines": self.engines,
             "metrics": metrics,
+            **({"detection": pooled_scores(self.scores)} if self.scores else {}),
         }
 
 
@@ -88,4 +93,6 @@ def table(summary: Mapping[str, Any]) -> str:
             head = ["window", "metric", *(f"joint {j + 1}" for j in range(len(rows[0]) - 2))]
             lines.append(markdown([head, *rows]))
             lines.append("")
+        if "detection" in found:
+            lines += [pooled_text(found["detection"]), ""]
     return "\n".join(lines)

@@ -53,10 +53,10 @@ def detection_scores(trace: Trace) -> dict[str, Any] | None:
 
     ``faults``: one entry per time that a fault acts: ``type``, ``joint`` (0: all), ``onset``, ``end``
     (null: does not end), ``detected``, ``delay`` (s; null if missed), ``alarm_joints`` (numbers of the
-    joints of the first alarm), ``alarm_before`` (an alarm was on at the onset). ``false_alarms``: how many
-    joints' alarms are false; ``exposure``, s; ``false_alarms_per_hour`` (null without exposure);
-    ``false_share``, the share of the exposure with an alarm; ``transient_alarms``, those that begin in the
-    transient while no fault acts.
+    joints of the first alarm), ``alarm_before`` (an alarm was on at the onset), ``verdict`` and
+    ``verdict_joint`` (what was said most of the time). ``false_alarms``: how many joints' alarms are false;
+    ``exposure``, s; ``false_alarms_per_hour`` (null without exposure); ``false_share``, the share of the
+    exposure with an alarm; ``transient_alarms``, those that begin in the transient while no fault acts.
     """
     flags, scenario = alarms(trace), trace.scenario
     if flags is None or scenario is None or scenario.detector is None:

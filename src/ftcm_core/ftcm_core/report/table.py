@@ -132,11 +132,12 @@ def detection_table(results: Sequence[Result]) -> str:
         markdown(false),
     ]
     if len(having) > 1:
-        lines += ["", _pooled(pooled_scores([one for _, one in having]))]
+        lines += ["", pooled_text(pooled_scores([one for _, one in having]))]
     return "\n".join(lines) + "\n"
 
 
-def _pooled(total: Result) -> str:
+def pooled_text(total: Result) -> str:
+    """Return what :func:`ftcm_core.recording.detection.pooled_scores` gives, in a sentence."""
     text = f"Together, {total['runs']} runs: "
     if total["faults"]:
         text += f"{total['missed']} of {total['faults']} faults missed; "
