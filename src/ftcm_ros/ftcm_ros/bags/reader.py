@@ -120,7 +120,7 @@ def read_bag(path: Path, scenario: Scenario | None = None) -> BagContents:
     changed = {name for name in files.changed if name != "metadata.yaml"}
     proven = closed and (verdict != "unchecked" or (files.sealed and not changed))
     cut = bool(trouble) and not proven
-    metadata = {} if cut else _custom_data(path)
+    metadata = {} if cut or "metadata.yaml" in files.changed else _custom_data(path)
     apart = (CHANGES.name, FAULTS.name, SCENARIO.name, DIAGNOSTICS.name.lstrip("/"))
     others = {name: raw.pop(name, []) for name in apart}
     if not raw.get(JOINT_STATES.name):
