@@ -38,7 +38,7 @@ def traces() -> list[tuple[str, Trace]]:
 
 def texts(figure: Any) -> list[str]:
     """Every text inside the panels of a figure."""
-    return [t.get_text() for ax in figure.axes for t in ax.texts]
+    return [t.get_text() for ax in figure.axes for t in ax.texts if not t.get_rotation()]
 
 
 def test_every_figure_is_written(traces: list[tuple[str, Trace]], tmp_path: Path) -> None:
@@ -63,6 +63,17 @@ def test_every_run_is_in_the_legend(name: str, traces: list[tuple[str, Trace]]) 
     expected = {"true", "estimate"} if name == "disturbance" else {"smc", "nftsmc", "ftcm"}
     assert expected | {"fault onset"} <= labels
     assert texts(figure) == []
+
+
+def test_faults_are_named_where_they_begin_and_shaded_up_to_where_they_end() -> None:
+    """In every panel whose time they are in; one that does not end has no shade."""
+    timed = "{type: sensor_bias, start: 0.05, lifetime: timed, duration: 0.1}"
+    trace = run("duration=0.2", f"injection.faults=[{timed}, {{type: payload_pickup, start: 0.12}}]")
+    for ax in FIGURES["torque"]([("ftcm", trace)]).axes[::2]:
+        named = {t.get_text(): t.xy[0] for t in ax.texts if t.get_rotation() == 90}
+        assert named == {"sensor_bias_0": 0.05, "payload_pickup_0": 0.12}
+        (shade,) = ax.patches
+        assert (shade.get_x(), shade.get_width()) == pytest.approx((0.05, 0.1))
 
 
 def test_columns_that_are_not_recorded_are_said_so(traces: list[tuple[str, Trace]], tmp_path: Path) -> None:
