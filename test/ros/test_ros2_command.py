@@ -29,10 +29,10 @@ from ftcm_core.registry import components
 from ftcm_core.scenario import load
 from ftcm_core.signals import CHANNELS
 from ftcm_core.simulation import simulate
-from ftcm_ros.analysis import analyse
+from ftcm_ros.analysis import analyse, replay
 from ftcm_ros.bags.reader import read_bag
 from ftcm_ros.parameters.node_parameters import ALL_NODES, NODES, SETTINGS
-from ftcm_ros.run import experiment
+from ftcm_ros.run import experiment, fault
 from traces import same
 
 pytestmark = pytest.mark.ros
@@ -72,6 +72,12 @@ def commands_in_the_text(page: Path) -> list[str]:
     return re.findall(r"`(ros2 [^`]+)`", BLOCK.sub("", page.read_text("utf-8")))
 
 
+PARSERS = {
+    "experiment": experiment.build_parser,
+    "analyse": analyse.build_parser,
+    "replay": replay.build_parser,
+    "fault": fault.build_parser,
+}
 ALL_COMMANDS = [
     pytest.param(shlex.split(command), id=command)
     for page in PAGES
@@ -97,8 +103,8 @@ def test_a_command_of_the_pages_names_what_there_is(command: list[str]) -> None:
     if verb == "run":
         package, program, *arguments = rest
         assert package == "ftcm_ros"
-        if program in ("experiment", "analyse"):
-            {"experiment": experiment, "analyse": analyse}[program].build_parser().parse_args(arguments)
+        if program in PARSERS:
+            PARSERS[program]().parse_args(arguments)
             return
         assert program in {*ALL_NODES, "composed"}
         given = [b.partition(":=")[0] for a, b in pairwise(arguments) if a == "-p"]
@@ -107,6 +113,10 @@ def test_a_command_of_the_pages_names_what_there_is(command: list[str]) -> None:
         node = rest[1].removeprefix("/")
         assert node in ALL_NODES
         assert verb == "lifecycle" or rest[2] in parameters_of(node)
+    elif verb == "service":
+        (called, name, kind) = rest
+        assert (called, kind) == ("call", "std_srvs/srv/Trigger")
+        assert re.fullmatch(r"/injector/faults/\w+_\d+/(arm|clear)", name)
     else:
         assert verb in ("topic", "param", "bag", "security")
 
@@ -237,6 +247,9 @@ def test_the_commands_of_the_readme_by_hand(shell: Shell, together: bool) -> Non
             if program == "analyse":
                 shell.ctrl_c(*nodes)
                 assert "Mean |e| over the whole run" in shell(command)
+            elif program == "replay":
+                told = shell.attempt(command)  # not from its first tick on: the recorder came later
+                assert "mybag: " in told.stdout + told.stderr
             elif program == "detector":
                 refused = shell.attempt(command)
                 assert refused.returncode == 2

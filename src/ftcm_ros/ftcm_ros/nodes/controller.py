@@ -44,8 +44,13 @@ class ControllerNode(ComponentNode):
         super().configure()
         law = cast(Controller, self.parameters.component)
         self.stage = self.staged(ControllerStage(self.scenario, law), law)
-        self.faults.begin()
+        if self.active:  # the plant has begun another run
+            self.faults.begin()
         self._require(law)
+
+    def activate(self) -> None:
+        """Tell when faults will act."""
+        self.faults.begin()
 
     def _require(self, law: Controller) -> None:
         names = (JOINT_STATES.name, ESTIMATE.name)

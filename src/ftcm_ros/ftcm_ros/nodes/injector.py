@@ -32,6 +32,11 @@ class InjectorNode(ReactiveNode):
         """Disturbances and faults as they are before the first tick."""
         super().configure()
         self.stage = self.staged(InjectorStage(self.scenario))
+        if self.active:  # the plant has begun another run
+            self.faults.begin()
+
+    def activate(self) -> None:
+        """Tell when faults will act."""
         self.faults.begin()
 
     def answer(self, time_ns: int, values: dict[str, JointSample]) -> Answer:

@@ -124,7 +124,8 @@ def data_topics(scenario: Scenario | None) -> tuple[Topic, ...]:
 
 def recorded_topics(scenario: Scenario) -> tuple[Topic, ...]:
     """Topics that the recorder subscribes."""
-    return tuple(dict.fromkeys((*data_topics(scenario), TRUE_STATE, *EVENTS)))
+    events = [topic for topic in EVENTS if topic is not FAULTS or scenario.faults]
+    return tuple(dict.fromkeys((*data_topics(scenario), TRUE_STATE, *events)))
 
 
 def subscribers(topic: Topic, scenario: Scenario) -> tuple[str, ...]:
