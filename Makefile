@@ -62,7 +62,7 @@ run: build ## Run the experiment of the paper: three controllers, one scenario; 
 	@$(call source,.venv,); exec install/ftcm_ros/lib/ftcm_ros/experiment $(ARGS)
 
 .PHONY: test
-test: lint test-here test-jazzy ## Lint, then all tests, then the quick ones with the versions of Ubuntu 24.04
+test: lint test-here test-jazzy ## Lint, then all tests, then the quick ones of what depends on packages with Ubuntu 24.04's
 
 .PHONY: test-env
 test-env:
@@ -80,7 +80,7 @@ docker-test: test-env ## Build the image and run the integration tests in contai
 	@$(call enter,.venv); python -m pytest -m docker test/docker $(PYTEST_ARGS)
 
 .PHONY: test-jazzy
-test-jazzy: ## Run the quick tests with numpy 1.26 and setuptools 68, as on Ubuntu 24.04
+test-jazzy: ## Run quick tests with numpy 1.26, setuptools 68 and others, as on Ubuntu 24.04
 ifdef ROS_DISTRO
 	@echo '==> test-jazzy: the sourced ROS 2 was tested already; nothing more to do'
 else

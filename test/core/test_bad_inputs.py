@@ -6,6 +6,7 @@ from __future__ import annotations
 
 import contextlib
 import copy
+import functools
 import io
 import math
 import os
@@ -152,6 +153,7 @@ NOT_NUMBERS = st.one_of(
 NOT_FINITE = st.sampled_from([math.nan, math.inf, -math.inf, 10**400, -(10**400)])
 
 
+@functools.cache  # here and below: else made anew for every input
 def wrong(spec: ParamSpec) -> st.SearchStrategy[Any]:
     """Values that a parameter does not take."""
     if spec.kind == "str":
@@ -199,6 +201,7 @@ def names_the_value(message: str, value: Any) -> bool:
 wrong_values = st.sampled_from(declared()).flatmap(lambda place: st.tuples(st.just(place), wrong(place[2])))
 
 
+@pytest.mark.pure
 @inputs(2500, drawn=wrong_values)
 def test_a_value_that_a_parameter_does_not_take(drawn: Any) -> None:
     """Wrong type, not finite, out of bounds, wrong length: by path and value."""
@@ -226,6 +229,7 @@ def test_a_value_that_a_parameter_does_not_take_set_on_the_command_line(drawn: A
     one_line(error.value, "--set", dotted)
 
 
+@pytest.mark.pure
 @inputs(
     700,
     drawn=st.sampled_from(
@@ -271,6 +275,7 @@ HUGE = st.just(5000).map(lambda digits: 10**digits)  # which Python itself refus
 ODD_KEYS = st.one_of(st.none(), st.booleans(), st.integers(), st.floats(), st.dates(), HUGE, st.just(b"k1"))
 
 
+@functools.cache
 def misspelt(word: str) -> st.SearchStrategy[str]:
     """A word with a letter left out, doubled, changed or in capitals."""
     return st.integers(0, len(word) - 1).flatmap(
@@ -287,16 +292,16 @@ def misspelt(word: str) -> st.SearchStrategy[str]:
     )
 
 
-@st.composite
-def unknown_keys(draw: Any) -> tuple[tuple[Any, ...], Any]:
-    """Where, and a key that is not known there."""
-    path = draw(st.sampled_from(MAPPINGS))
+@functools.cache
+def unknown_key(path: tuple[Any, ...]) -> st.SearchStrategy[tuple[tuple[Any, ...], Any]]:
+    """The place, and a key that is not known there."""
     known = list(at(PAPER, path))
     keys = st.one_of(ODD_KEYS, st.text(max_size=80), *map(misspelt, known))
-    return path, draw(keys.filter(lambda key: key not in known))
+    return st.tuples(st.just(path), keys.filter(lambda key: key not in known))
 
 
-@inputs(1000, drawn=unknown_keys(), examples=({"drawn": ((), 10**5000)},))
+@pytest.mark.pure
+@inputs(1000, drawn=st.sampled_from(MAPPINGS).flatmap(unknown_key), examples=({"drawn": ((), 10**5000)},))
 def test_a_key_that_is_not_known(drawn: Any) -> None:
     """By path and name."""
     path, key = drawn
@@ -305,10 +310,9 @@ def test_a_key_that_is_not_known(drawn: Any) -> None:
     assert " ".join(name.splitlines()) in message
 
 
-@st.composite
-def unknown_types(draw: Any) -> tuple[tuple[Any, ...], Any]:
-    """Where, and what is no component's name there."""
-    path = draw(st.sampled_from(COMPONENTS))
+@functools.cache
+def unknown_type(path: tuple[Any, ...]) -> st.SearchStrategy[tuple[tuple[Any, ...], Any]]:
+    """The place, and what is no component's name there."""
     kind = {"disturbances": "disturbance", "faults": "fault", "model": "robot"}.get(
         path[-2] if len(path) > 1 else path[0], path[0]
     )
@@ -320,10 +324,12 @@ def unknown_types(draw: Any) -> tuple[tuple[Any, ...], Any]:
         st.sampled_from(others),
         *map(misspelt, components(kind)),
     )
-    return path, draw(names.filter(lambda name: not isinstance(name, str) or name not in components(kind)))
+    other = names.filter(lambda name: not isinstance(name, str) or name not in components(kind))
+    return st.tuples(st.just(path), other)
 
 
-@inputs(800, drawn=unknown_types())
+@pytest.mark.pure
+@inputs(800, drawn=st.sampled_from(COMPONENTS).flatmap(unknown_type))
 def test_a_component_that_does_not_exist(drawn: Any) -> None:
     """By path and name, in both forms."""
     path, name = drawn
@@ -784,6 +790,7 @@ commands = st.one_of(
 )
 
 
+@pytest.mark.pure
 @inputs(900, arguments=commands)
 def test_commands_that_make_no_sense(arguments: list[str]) -> None:
     """Status 2, nothing on stdout, one line with the mistake (after the usage, if any), no files."""
@@ -847,6 +854,7 @@ duration: 0.02
 """
 
 
+@pytest.mark.slow
 def test_a_run_writes_only_into_its_folder(tmp_path: Path) -> None:
     """Every file opened for writing, every folder made is in the output, whatever the scenario is called."""
     work = tmp_path / "a" / "b" / "c"
