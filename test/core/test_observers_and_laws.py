@@ -11,6 +11,7 @@ import pytest
 from ftcm_core.controllers import Controller
 from ftcm_core.observers import Observer
 from ftcm_core.observers.do import DO, observer_step
+from ftcm_core.params import specs
 from ftcm_core.registry import components
 from ftcm_core.robots import Robot
 from ftcm_core.scenario import from_mapping, load
@@ -128,6 +129,17 @@ def test_defaults_have_no_warnings_at_1_khz(name: str) -> None:
     """On any of the robots."""
     for robot in ROBOTS.values():
         assert OBSERVERS[name]().warnings(robot, DT) == []
+
+
+@every_observer
+@pytest.mark.parametrize("size", [5e-324, 1e-300, 1e300, 1.7e308])
+def test_warnings_of_any_numbers_are_lines(name: str, size: float) -> None:
+    """Also where squares and products overflow, or vanish."""
+    cls = OBSERVERS[name]
+    for given in [s.name for s in specs(cls).values() if s.kind == "float"]:
+        for line in cls(**{given: size}).warnings(ROBOTS["puma560"], DT):
+            assert line.startswith(f"observer {name}")
+            assert len(line.splitlines()) == 1
 
 
 @pytest.mark.parametrize(

@@ -31,10 +31,10 @@ class MomentumState(NamedTuple):
 class Momentum(Observer):
     """Generalised momentum: r = K (p - p(0) - ∫(u + Cᵀq̇ - G - F + r) dt), p = M(q) q̇, tau_hat = -r.
 
-    It needs neither accelerations nor the inverse of M. With ṗ = u - β - Δ torque, β = G + F - Cᵀq̇, each
-    joint has its own error, ṙ = K(d - r): a constant disturbance is found with the error e^{-K t}. Over a
-    tick that is solved exactly, the disturbance being held, and β is integrated by the trapezoidal rule;
-    stable for every K and dt.
+    It needs neither accelerations nor the inverse of M. With d the added torque and β = G + F - Cᵀq̇ it is
+    ṗ = u - β + d, so ṙ = K(d - r) for each joint by itself: a constant d is found with the error e^{-K t}.
+    Over a tick that is solved exactly, d being held, and β is integrated by the trapezoidal rule; stable for
+    every K and dt.
     """
 
     gain: float = param(

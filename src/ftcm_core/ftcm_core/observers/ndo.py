@@ -85,21 +85,27 @@ class NDO(Observer):
 
     def warnings(self, model: Robot, dt: float) -> list[str]:
         """Where the forward Euler step is unstable in some configuration, for some start."""
-        n = model.joints
-        units = np.eye(n)
-        matrices = [
-            np.array([model.inertia_torque(q, tuple(unit)) for unit in units.tolist()])
-            for q in configurations(n)
-        ]
-        inertia = np.max([np.diagonal(m) for m in matrices], axis=0)
-        root = np.diag(np.sqrt(np.array(per_joint(self.rate, n)) * inertia))
-        fastest = max(float(np.linalg.eigvalsh(root @ np.linalg.inv(m) @ root)[-1]) for m in matrices)
-        if fastest * dt < 2.0:
+        fastest = fastest_rate(model, per_joint(self.rate, model.joints))
+        if not fastest * dt >= 2.0:
             return []
         return [
             f"observer ndo: unstable in some configuration with ticks of {dt:g} s: the error's fastest rate "
             f"is {fastest:.4g} 1/s; expected below {2.0 / dt:g}; lower rate or dt"
         ]
+
+
+def fastest_rate(model: Robot, rates: Vector) -> float:
+    """Largest eigenvalue of Y M⁻¹ over configurations, Y made where M is largest, 1/s; NaN if it has none."""
+    n, top = model.joints, max(rates)
+    units = np.eye(n).tolist()
+    matrices = [np.array([model.inertia_torque(q, tuple(unit)) for unit in units]) for q in configurations(n)]
+    with np.errstate(all="ignore"):
+        largest = np.max([np.diagonal(m) for m in matrices], axis=0)
+        root = np.diag(np.sqrt(np.array(rates) / top * largest))
+        try:
+            return top * max(float(np.linalg.eigvalsh(root @ np.linalg.inv(m) @ root)[-1]) for m in matrices)
+        except np.linalg.LinAlgError:  # M has no inverse in floats
+            return math.nan
 
 
 def diagonal(model: Robot, q: Vector) -> Vector:

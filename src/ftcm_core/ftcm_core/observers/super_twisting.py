@@ -172,9 +172,10 @@ def largest_return(lambda1: float, lambda2: float) -> float:
         return 0.0
     d = grows - half * half
     root = math.sqrt(abs(d))
-    first = (
-        1.0 / half if d == 0.0 else (math.atan(root / half) if d > 0.0 else math.atanh(root / half)) / root
-    )
+    if d == 0.0:
+        first = 1.0 / half
+    else:
+        first = (math.atan2(root, half) if d > 0.0 else math.log((half + root) / math.sqrt(grows))) / root
     root = math.sqrt(shrinks - half * half)
-    second = (math.atan(half / root) + 0.5 * math.pi) / root
+    second = (math.atan2(half, root) + 0.5 * math.pi) / root
     return math.sqrt(shrinks / grows) * math.exp(-half * (first + second))
