@@ -49,6 +49,10 @@ class ScenarioError(FtcmError):
     """Whether a component is valid in itself but does not fit the rest: see :class:`Unsuited`."""
 
 
+MOST_NAMES = 20
+"""So many names are told to somebody who has misspelt one beyond recognition."""
+
+
 def suggestion(name: str, known: Iterable[str]) -> str:
     """Return ``did you mean 'x'?`` for a misspelt name, else the list of known names.
 
@@ -61,4 +65,6 @@ def suggestion(name: str, known: Iterable[str]) -> str:
     close = difflib.get_close_matches(name, known, n=1, cutoff=0.5)
     if close:
         return f"did you mean '{close[0]}'?"
+    if len(known) > MOST_NAMES:
+        return f"{len(known)} are known, such as {', '.join(known[:MOST_NAMES])}; ftcm list names them"
     return f"known: {', '.join(known)}" if known else "none are known here"

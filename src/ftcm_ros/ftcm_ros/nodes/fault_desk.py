@@ -11,7 +11,6 @@ from collections.abc import Callable, Iterable
 from typing import Any
 
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
-from rclpy.serialization import deserialize_message
 from std_msgs.msg import String
 from std_srvs.srv import Trigger
 
@@ -19,6 +18,7 @@ from ftcm_core.faults.timing import NEVER
 from ftcm_core.scenario import Scenario
 from ftcm_core.signals import NANOSECONDS, seconds
 from ftcm_ros.nodes.suite_node import SuiteNode
+from ftcm_ros.transport.plane import qos
 from ftcm_ros.transport.topics import FAULT_ORDERS, FAULTS, faults_at
 
 LOOK_NS = NANOSECONDS // 10
@@ -46,7 +46,8 @@ class FaultDesk:
         self._look_ns = 0 if waiting else NEVER
         self._publish = node.plane.publisher(FAULTS) if self.mine else None
         if node.name_in_suite != "injector" and any(scenario.faults[n].by_hand for n in self.mine):
-            node.plane.subscribe(FAULT_ORDERS, self._on_order)
+            # Not by the data plane: its readers must not be waited for by who publishes.
+            node.create_subscription(String, FAULT_ORDERS.name, self._on_order, qos(FAULT_ORDERS))
 
     def begin(self) -> None:
         """Tell from when to when each fault will act, as far as is known; a run begins."""
@@ -81,12 +82,12 @@ class FaultDesk:
         self._node.stage.order(number, action, seconds(tick * self._node.scenario.dt_ns))
         self.tell(tick, action)
 
-    def _on_order(self, data: bytes, published_ns: int) -> None:
-        action, _, label = deserialize_message(data, String).data.partition(" ")
+    def _on_order(self, message: String) -> None:
+        action, _, label = message.data.partition(" ")
         if self._node.active and action in ACTIONS and label in self._labels:
             number = self._labels.index(label)
             if number in self.mine:
-                self.order(number, action)
+                self._node.on_main_thread(lambda: self.order(number, action))
 
 
 class FaultServices:
@@ -100,15 +101,15 @@ class FaultServices:
         """From when to when each fault acts, as its node has told."""
         if not self._labels:
             return
-        node.plane.subscribe(FAULTS, self._on_event)
+        node.create_subscription(DiagnosticArray, FAULTS.name, self._on_event, qos(FAULTS))
         self._order = node.plane.publisher(FAULT_ORDERS)
         node.create_service(Trigger, "~/faults/list", self._list)
         for number, label in enumerate(self._labels):
             for action in ACTIONS:
                 node.create_service(Trigger, f"~/faults/{label}/{action}", self._answering(number, action))
 
-    def _on_event(self, data: bytes, published_ns: int) -> None:
-        for status in deserialize_message(data, DiagnosticArray).status:
+    def _on_event(self, message: DiagnosticArray) -> None:
+        for status in message.status:
             values = {v.key: v.value for v in status.values}
             self._phases[status.name] = float(values["onset"]), float(values["end"])
 

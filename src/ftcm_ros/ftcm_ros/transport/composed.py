@@ -65,9 +65,6 @@ class Composition:
         self._handing = False
         self._handed: deque[tuple[str, Take, JointSample]] = deque()
         self._unpublished: deque[tuple[_Outlet, JointSample]] = deque()
-        self.publishing = threading.local()
-        """``on`` is true in a thread that publishes: the middleware then delivers to readers of this process,
-        and what these would do must wait until it is done, as it may be to publish."""
         self.received: deque[tuple[str, Callable[[bytes, Any], None], Any]] = deque()
         """Messages of other processes: for which node, its handler, and the arguments of that."""
 
@@ -148,19 +145,6 @@ class ComposedPlane(ListenerPlane):
         self._composition.read(self._name, topic, take)
         return True
 
-    def publisher(self, topic: Topic) -> Callable[[Any], None]:
-        """Return a function that publishes; what readers of this process do with it comes after that."""
-        publish, publishing = super().publisher(topic), self._composition.publishing
-
-        def apart(message: Any) -> None:
-            publishing.on = True
-            try:
-                publish(message)
-            finally:
-                publishing.on = False
-
-        return apart
-
     def sender(self, topic: Topic, layout: Layout) -> Sender:
         """Return how messages of a data topic are handed over and published."""
         readers = tuple(name for name in subscribers(topic, self._scenario) if name != "recorder")
@@ -179,8 +163,6 @@ class ComposedPlane(ListenerPlane):
             self._keep_thread()
             while (taken := entry.take()) is not None:
                 composition.received.append((self._name, entry.callback, taken))
-            if getattr(composition.publishing, "on", False):  # the main thread does it
-                return
             if not self.turn.acquire(timeout=BUSY_SECONDS):
                 return
             try:
