@@ -5,6 +5,7 @@ from __future__ import annotations
 
 import json
 import os
+import re
 import shutil
 import signal
 import subprocess
@@ -111,7 +112,9 @@ def test_a_lockstep_run_proves_itself(experiment: Callable[..., Any], tmp_path: 
     assert run.returncode == 1
     assert run.stderr.startswith("byte: damaged: the file is not what was recorded: ticks ")
     verdict_, remark = run.stdout.splitlines()[:2]
-    assert verdict_ == "byte: equal, float for float: 301 ticks", "the ticks that are lost are bridged"
+    left = re.fullmatch(r"byte: equal, float for float: (\d+) ticks", verdict_)
+    assert left, verdict_
+    assert 50 < int(left[1]) <= 301, "ticks that are lost are bridged, but where none follow"
     assert remark == "the bag is damaged: this is about what is left of it"
     assert replay("byte", "--accept-damage", cwd=tmp_path).returncode == 0
     if storage == "sqlite3":

@@ -100,7 +100,9 @@ def parameters_of(node: str) -> set[str]:
 def test_a_command_of_the_pages_names_what_there_is(command: list[str]) -> None:
     """Program and its arguments; node and its parameter."""
     verb, *rest = command[1:]
-    if verb == "run":
+    if not rest:  # the verb is spoken of
+        assert verb in ("run", "param", "topic", "bag", "security", "lifecycle", "launch", "service")
+    elif verb == "run":
         package, program, *arguments = rest
         assert package == "ftcm_ros"
         if program in PARSERS:
