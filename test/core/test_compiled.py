@@ -127,6 +127,7 @@ def together(variants, most=5):
         found = dict(override.split("=", 1) for override in overrides)
         faults = found.pop("injection.faults", "")[1:-1]
         parts = {key.partition(".")[0] for key in found}
+        parts |= {"observer"} if "detector" in parts else set()  # which may need one
         fits = (g for g in groups if len(g["names"]) < most and not parts & g["parts"])
         group = next(fits, None) or {"names": [], "parts": set(), "overrides": [], "faults": []}
         if not group["names"]:

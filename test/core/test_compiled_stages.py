@@ -161,7 +161,7 @@ def test_skipped_ticks_and_a_safe_stop_are_done_by_the_stage_itself() -> None:
             q, v = loop.plant.motion
             added = loop.injector.step(k * scenario.dt_ns, q, v, u, 3 if k == 10 else 1).torque
             assert loop.detector is not None
-            residual, alarm = loop.detector.step(y, u, tau, 3 if k == 10 else 1)
+            residual, alarm, _ = loop.detector.step(y, u, tau, 3 if k == 10 else 1)
             if k in (12, 13):
                 loop.plant.safe_stop(k * scenario.dt_ns, d)
             else:

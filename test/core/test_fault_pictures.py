@@ -214,7 +214,7 @@ PICTURE = "sensor_gain --picture x.svg --set "
 @pytest.mark.parametrize(
     ("arguments", "expected"),
     [
-        ("ftcm --picture x.svg", "--picture: controller 'ftcm' is no fault; known: "),
+        ("ftcm --picture x.svg", "--picture: controller 'ftcm' is no fault; "),
         ("sensor_gain --picture x.jpg", "picture 'x.jpg': expected a name that ends with .svg, .png, .pdf"),
         ("sensor_gain --set gain=1", "--set: a description has no values to set; expected with --picture"),
         (PICTURE + "gian=1", "--set 'gian': unknown parameter; did you mean 'gain'?"),

@@ -89,7 +89,10 @@ def fixed_time(alpha: float, beta: float, m: float, r: float) -> float:
         m: exponent above 1.
         r: exponent in (0, 1).
     """
-    return 1.0 / (alpha * (m - 1.0)) + 1.0 / (beta * (1.0 - r))
+    far, near = alpha * (m - 1.0), beta * (1.0 - r)
+    return (
+        1.0 / far + 1.0 / near if far > 0.0 and near > 0.0 else math.inf
+    )  # they may be too small for a float
 
 
 @register("controller", "fixed_time_nftsmc")
