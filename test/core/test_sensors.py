@@ -47,7 +47,7 @@ def test_default_is_the_ideal_sensor_without_delay() -> None:
     assert scenario.to_mapping()["torque_delay"] == 0
     assert same(run(), run("sensor=ideal", "torque_delay=0"))
     optional = [name for name, column in COLUMNS.items() if column.when]
-    assert [getattr(run(), name) for name in optional] == [None] * 5
+    assert [getattr(run(), name) for name in optional] == [None] * 6
     assert list(run().columns) == list(scenario.columns) == [n for n in COLUMNS if n not in optional]
 
 
