@@ -101,7 +101,7 @@ lint: test-env ## Check style, format and types
 .PHONY: docs
 docs: build ## Write what is generated: reference pages and pictures in docs/, the SROS2 policy
 	@$(call source,.venv,); python tools/reference_page.py docs/ && python tools/topics_page.py docs/ && \
-	    python tools/fault_pictures.py docs/ && \
+	    python tools/faults_page.py docs/ && \
 	    python tools/sros_policy.py config/security/
 
 .PHONY: bench

@@ -14,7 +14,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-import fault_pictures as tool
+import faults_page as tool
 from ftcm_core.cli import main
 from ftcm_core.errors import FtcmError
 from ftcm_core.faults import Fault, RobotFault
@@ -258,7 +258,7 @@ def test_a_site_that_nothing_is_known_of_is_said() -> None:
 
 def test_the_page_is_up_to_date(monkeypatch: pytest.MonkeyPatch) -> None:
     """``--check`` passes on the page in the repository; every fault is on it, by its site."""
-    monkeypatch.setattr(sys, "argv", ["fault_pictures.py", "--check", str(DOCS)])
+    monkeypatch.setattr(sys, "argv", ["faults_page.py", "--check", str(DOCS)])
     assert tool.main() == 0
     headings = re.findall(r"^###? (.*)$", (DOCS / tool.FILE).read_text("utf-8"), re.MULTILINE)
     for name, cls in components("fault").items():

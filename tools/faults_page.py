@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Generates the page of faults from the registry, and draws a picture of each.
 
-``python tools/fault_pictures.py docs/`` writes ``docs/faults.md`` and ``docs/images/faults/``; with
+``python tools/faults_page.py docs/`` writes ``docs/faults.md`` and ``docs/images/faults/``; with
 ``--check`` it exits with 1 if the page is out of date.
 """
 
@@ -32,7 +32,7 @@ FILE, PICTURES, PROFILES = "faults.md", Path("images/faults"), "profiles.svg"
 
 _INTRO = """# Faults
 
-Generated from the code by `python tools/fault_pictures.py docs/`; do not edit. How faults are written in a
+Generated from the code by `python tools/faults_page.py docs/`; do not edit. How faults are written in a
 scenario: [scenarios](scenarios.md#faults). Where each site acts in a tick:
 [architecture](architecture.md#faults-by-site). How to write one: [extending](extending.md#a-fault).
 
@@ -130,7 +130,7 @@ def draw(folder: Path) -> None:
 
 def main() -> int:
     """Write the page and its pictures, or check the page on disk."""
-    return write_or_check("tools/fault_pictures.py", __doc__, FILE, page(), draw)
+    return write_or_check("tools/faults_page.py", __doc__, FILE, page(), draw)
 
 
 if __name__ == "__main__":
