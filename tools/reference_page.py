@@ -43,6 +43,7 @@ _TITLES = {
     "observer": "Observers",
     "disturbance": "Disturbances",
     "fault": "Faults",
+    "policy": "Policies",
 }
 
 

@@ -36,7 +36,7 @@ ENVIRONMENT = {
     **os.environ, "PYTHONPATH": os.pathsep.join(x for x in sys.path if x), "PYTHONDONTWRITEBYTECODE": "1"
 }  # fmt: skip
 """In which a child finds the sources."""
-PAPER = load("paper", ["detector=residual_threshold"]).to_mapping()
+PAPER = load("paper", ["detector=residual_threshold", "policies=[safe_stop]"]).to_mapping()
 TEXT = """\
 robot: puma560
 reference: {type: vo_kang_cosine}
@@ -115,11 +115,15 @@ def placed(data: Any, path: tuple[Any, ...], value: Any) -> Any:
 
 def scenario_with(kind: str, name: str) -> tuple[tuple[Any, ...], dict[str, Any]]:
     """A good scenario with a component in it, written in full, and where that is."""
+    path: tuple[Any, ...] = (kind,)
     if kind in ("disturbance", "fault"):
-        path: tuple[Any, ...] = ("injection", f"{kind}s", 0)
-    else:
-        path = (kind,)
-    data = placed({**PAPER, "controller": {"type": "ctc"}, "detector": None}, path, {"type": name})
+        path = ("injection", f"{kind}s", 0)
+    elif kind == "policy":
+        path = ("policies", 0)
+    simple = {**PAPER, "controller": {"type": "ctc"}}
+    if kind != "policy":
+        simple |= {"detector": None, "policies": []}
+    data = placed(simple, path, {"type": name})
     return path, from_mapping(data).to_mapping()
 
 
@@ -260,6 +264,7 @@ MAPPINGS: list[tuple[Any, ...]] = [
     ("injection",),
     ("injection", "disturbances", 0),
     ("injection", "faults", 0),
+    ("policies", 0),
 ]
 COMPONENTS = [p for p in MAPPINGS if p and p[-1] not in ("initial_state", "injection")]
 
@@ -313,9 +318,8 @@ def test_a_key_that_is_not_known(drawn: Any) -> None:
 @functools.cache
 def unknown_type(path: tuple[Any, ...]) -> st.SearchStrategy[tuple[tuple[Any, ...], Any]]:
     """The place, and what is no component's name there."""
-    kind = {"disturbances": "disturbance", "faults": "fault", "model": "robot"}.get(
-        path[-2] if len(path) > 1 else path[0], path[0]
-    )
+    kinds = {"disturbances": "disturbance", "faults": "fault", "policies": "policy", "model": "robot"}
+    kind = kinds.get(path[-2] if len(path) > 1 else path[0], path[0])
     others = [name for k in KINDS for name in components(k)]
     names = st.one_of(
         st.text(max_size=80),
@@ -350,6 +354,7 @@ def test_a_component_that_does_not_exist(drawn: Any) -> None:
                 ("injection",),
                 ("injection", "faults"),
                 ("injection", "disturbances"),
+                ("policies",),
             ]
         ),
         st.one_of(NOT_NUMBERS, NOT_FINITE, st.integers(), st.lists(st.integers(), min_size=1)),
@@ -359,7 +364,7 @@ def test_a_component_that_does_not_exist(drawn: Any) -> None:
 def test_a_part_of_another_shape(drawn: Any) -> object:
     """A component, record or list that is something else; nothing that is false counts as left out."""
     path, value = drawn
-    if (value == [] and path[-1] in ("faults", "disturbances")) or (
+    if (value == [] and path[-1] in ("faults", "disturbances", "policies")) or (
         # A plant without a type is the default one, a model without values the true robot.
         value == {} and path[-1] in ("initial_state", "injection", "plant", "model")
     ):

@@ -93,6 +93,7 @@ def scenarios(
         "sensor": component("sensor", bound),
         "plant": component("plant", bound),
         "detector": component("detector", bound),
+        "policies": st.lists(component("policy", bound), max_size=2),
         "model": beliefs(bound),
         "initial_state": parameters(InitialState, bound),
         "injection": st.fixed_dictionaries({}, optional=injection),
@@ -234,7 +235,7 @@ def test_the_written_tick_is_the_plain_one(data: dict[str, Any]) -> object:
 
 
 def assert_same(a: list[Any], b: list[Any]) -> None:
-    """Equal number for number; not-a-number, to which an observer that nothing follows may come, equals itself."""
+    """Equal number for number, and not-a-number, to which an observer that nothing follows may come, too."""
     np.testing.assert_array_equal(np.array(a), np.array(b), strict=True)
 
 

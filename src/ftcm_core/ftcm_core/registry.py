@@ -34,6 +34,7 @@ KINDS = {
     "sensor": "ftcm_core.sensors",
     "disturbance": "ftcm_core.disturbances",
     "fault": "ftcm_core.faults",
+    "policy": "ftcm_core.policies",
 }
 """Component kinds and the packages whose modules define them."""
 

@@ -148,21 +148,25 @@ CHANNELS = (
     Channel("disturbance", "injector", ("plant",), effort="disturbance"),
     Channel("reference", "controller", (), "reference_position", "reference_velocity"),
     Channel("true_state", "plant", ("injector",), "position", "velocity", "joint_torque", when="hidden"),
-    Channel("detection", "detector", (), "alarm", "verdict", "residual", when="detector"),
+    Channel("detection", "detector", ("observer", "controller"), "alarm", "verdict", "residual",
+            when="detector"),
 )  # fmt: skip
 """Every data topic. The recorder reads all of them besides."""
 
 
-def channels(hidden: bool, detector: bool) -> tuple[Channel, ...]:
+def channels(hidden: bool, detector: bool, policies: bool = False) -> tuple[Channel, ...]:
     """Return the data topics of a run, with its readers.
 
     Args:
         hidden: as of :func:`recorded`. If not, ``joint_states`` has the true motion, also for the injector.
         detector: whether the run has a detector.
+        policies: whether anything is done about what the detector says.
     """
     found = []
     for channel in CHANNELS:
         readers = [r for r in channel.readers if r != "detector" or detector]
+        if channel.topic == "detection" and not policies:
+            readers = []
         if channel.topic == "joint_states":
             if hidden:
                 readers.remove("injector")

@@ -93,6 +93,7 @@ def program_for(loop: Loop) -> tuple[Program, Array]:
     Raises:
         NotCompilable: with the reason.
     """
+    require_no_policies(loop)
     structure = shape(state_of(loop))
     for program in _programs:
         if program.shape == structure:
@@ -174,6 +175,12 @@ def require_foreseen(plant: Any) -> None:
     """Raise NotCompilable for a plant whose robot changes at a time that is not known from the start."""
     if not plant.foreseen:
         raise NotCompilable("a fault changes the robot at a time that is not known from the start")
+
+
+def require_no_policies(loop: Loop) -> None:
+    """Raise NotCompilable for a run in which policies may change what a tick does."""
+    if loop.accommodation:
+        raise NotCompilable("policies change the law, the observer or what is measured while it runs")
 
 
 def reading(tracer: Tracer) -> list[str]:

@@ -23,6 +23,7 @@ from ftcm_core.compiled.program import (
     parameters_of,
     reading,
     require_foreseen,
+    require_no_policies,
 )
 from ftcm_core.compiled.run import require_numba
 from ftcm_core.compiled.tracing import (
@@ -76,6 +77,7 @@ def stage_program(kind: str, scenario: Scenario, component: Component | None = N
     """
     require_numba()
     loop = Loop(scenario)
+    require_no_policies(loop)
     if component is not None:
         getattr(loop, kind).swap(component)
     if reason := loop.tick(0, False, lambda row: None):
@@ -268,6 +270,11 @@ class CompiledController(CompiledStage):
     def controller(self) -> Any:
         """The law in use."""
         return self.stage.controller
+
+    def reference_at(self, time_ns: int) -> ReferencePoint:
+        """As of the stage."""
+        point: ReferencePoint = self.stage.reference_at(time_ns)
+        return point
 
     def prepare(self, time_ns: int, y: Measurement) -> None:
         """Nothing: the whole step takes less time than preparing it would save."""

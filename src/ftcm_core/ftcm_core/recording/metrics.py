@@ -201,7 +201,12 @@ def result(trace: Trace) -> dict[str, Any]:
         "settling_time_bound": _finite(np.array(bounds, dtype=np.float64)),
         "metrics": evaluate(trace),
         "detection": detection_scores(trace),
-        "changes": [{"tick": c.tick, "kind": c.kind, **c.component.to_mapping()} for c in trace.changes],
+        "changes": [
+            {"tick": c.tick, "kind": c.kind, "by": c.by, **c.component.to_mapping()} for c in trace.changes
+        ],
+        "decisions": [{**d._asdict(), "policy": scenario.policy_labels[d.number]} for d in trace.decisions]
+        if scenario
+        else [],
         "configuration": scenario.to_mapping() if scenario else None,
     }
 

@@ -35,6 +35,8 @@ class Change:
     """``controller``, ``observer`` or ``detector``; ``fault`` for an order by hand."""
     component: Any
     """The component, or a :class:`FaultOrder`."""
+    by: str = ""
+    """Label of the policy that made the change; empty: somebody from outside the run."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -49,6 +51,19 @@ class FaultOrder:
     def to_mapping(self) -> dict[str, Any]:
         """Return it as plain data."""
         return {"number": self.number, "action": self.action}
+
+
+class Decision(NamedTuple):
+    """A policy has decided about a fault."""
+
+    tick: int
+    """First tick in which what it does is in force."""
+    number: int
+    """Place of the policy in the scenario's list."""
+    joint: int
+    """Number of the joint, from 1."""
+    verdict: str
+    """What the detector said of it in the tick before."""
 
 
 class FaultEvent(NamedTuple):
@@ -111,6 +126,8 @@ class Trace:
     changes: tuple[Change, ...] = ()
     fault_events: tuple[FaultEvent, ...] = ()
     """What was decided of faults while the run was on, in the order of time."""
+    decisions: tuple[Decision, ...] = ()
+    """What the policies decided, in the order of time."""
     engine: str = "plain"
     """How it was run: ``plain``, ``compiled``, or ``graph`` for one that was recorded."""
     accelerations: Callable[[Array, Array], Array] | None = None

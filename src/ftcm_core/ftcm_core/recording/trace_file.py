@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 
 from ftcm_core.errors import FtcmError
-from ftcm_core.recording.trace import Change, FaultEvent, FaultOrder, Trace
+from ftcm_core.recording.trace import Change, Decision, FaultEvent, FaultOrder, Trace
 from ftcm_core.registry import find
 from ftcm_core.scenario import from_mapping
 from ftcm_core.signals import COLUMNS
@@ -29,9 +29,11 @@ def save_trace(path: Path, trace: Trace) -> None:
         "engine": trace.engine,
         "scenario": trace.scenario.to_mapping() if trace.scenario else None,
         "changes": [
-            {"tick": c.tick, "kind": c.kind, "component": c.component.to_mapping()} for c in trace.changes
+            {"tick": c.tick, "kind": c.kind, "component": c.component.to_mapping(), "by": c.by}
+            for c in trace.changes
         ],
         "fault_events": trace.fault_events,
+        "decisions": trace.decisions,
     }
     columns: dict[str, Any] = trace.columns
     np.savez_compressed(path, about=np.array(json.dumps(about)), time_ns=trace.time_ns, **columns)
@@ -62,7 +64,7 @@ def load_trace(path: Path) -> Trace:
             component = FaultOrder(**parameters)
         else:
             component = find(change["kind"], parameters.pop("type"))(**parameters)
-        changes.append(Change(change["tick"], change["kind"], component))
+        changes.append(Change(change["tick"], change["kind"], component, change.get("by", "")))
     return Trace(
         joint_names=tuple(about["joint_names"]),
         dt=about["dt"],
@@ -75,4 +77,5 @@ def load_trace(path: Path) -> Trace:
         engine=about.get("engine", "plain"),
         changes=tuple(changes),
         fault_events=tuple([FaultEvent(*event) for event in about.get("fault_events", ())]),
+        decisions=tuple([Decision(*decision) for decision in about.get("decisions", ())]),
     )

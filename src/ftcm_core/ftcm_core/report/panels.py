@@ -27,6 +27,7 @@ _FEW = 120
 _NOTE = 48
 """Letters in a line of a note that fit the narrowest panel."""
 _ONSET = "fault onset"
+_DECISION = "accommodation"
 _BAND = 0.02
 """A run whose envelope is wider than this share of the panel is drawn as a band."""
 
@@ -248,6 +249,9 @@ def _mark_faults(ax: Axes, traces: Sequence[Trace]) -> None:
             ", ".join(labels), (onset, 1.0), xycoords=("data", "axes fraction"), xytext=(1, -2),
             textcoords="offset points", rotation=90, ha="left", va="top", fontsize=4.5, color="0.35",
         )  # fmt: skip
+    for t in sorted({d.tick * trace.dt for trace in traces for d in trace.decisions}):
+        if first <= t < last:
+            ax.axvline(t, color="C2", linewidth=0.9, linestyle=(0, (4, 1, 1, 1)), zorder=2.4, label=_DECISION)
 
 
 def mark_onsets(ax: Axes, onsets: Iterable[float]) -> None:
@@ -302,8 +306,9 @@ def legend(figure: Figure, axes: Sequence[Sequence[Axes]]) -> None:
     for ax in (ax for line in axes for ax in line):
         for handle, label in zip(*ax.get_legend_handles_labels()):
             entries.setdefault(label, handle)
-    if _ONSET in entries:
-        entries[_ONSET] = entries.pop(_ONSET)
+    for mark in (_ONSET, _DECISION):
+        if mark in entries:
+            entries[mark] = entries.pop(mark)
     if entries:
         top = 1.0 - 0.27 / figure.get_figheight()
         figure.legend(

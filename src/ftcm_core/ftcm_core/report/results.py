@@ -18,7 +18,13 @@ from ftcm_core.recording.metrics import result
 from ftcm_core.recording.provenance import provenance
 from ftcm_core.recording.trace import Trace
 from ftcm_core.report.figures import write_figures
-from ftcm_core.report.table import comparison_table, detection_table, paper_table, settling_table
+from ftcm_core.report.table import (
+    accommodation_table,
+    comparison_table,
+    detection_table,
+    paper_table,
+    settling_table,
+)
 
 
 def to_json(value: Any, indent: int | None = None) -> str:
@@ -109,6 +115,7 @@ def report(results: Sequence[dict[str, Any]], more: str = "") -> str:
         comparison_table(results),
         settling_table(results),
         detection_table(results),
+        accommodation_table(results),
         paper_table(results),
         more,
     )

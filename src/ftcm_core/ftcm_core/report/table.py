@@ -136,6 +136,21 @@ def detection_table(results: Sequence[Result]) -> str:
     return "\n".join(lines) + "\n"
 
 
+def accommodation_table(results: Sequence[Result]) -> str:
+    """What policies did about faults, in Markdown; empty when no run has any."""
+    having = [r for r in results if r["configuration"] and r["configuration"].get("policies")]
+    if not having:
+        return ""
+    rows = [["run", "policy", "in force from, s", "tick", "told", "joint"]]
+    for result in having:
+        for d in result["decisions"]:
+            t = _number(d["tick"] * result["configuration"]["dt"], 6)
+            rows.append([run_name(result), d["policy"], t, str(d["tick"]), d["verdict"], str(d["joint"])])
+        if not result["decisions"]:
+            rows.append([run_name(result), "none", ABSENT, ABSENT, ABSENT, ABSENT])
+    return f"Accommodation: what the policies did about what the detector told.\n\n{markdown(rows)}\n"
+
+
 def pooled_text(total: Result) -> str:
     """Return what :func:`ftcm_core.recording.detection.pooled_scores` gives, in a sentence."""
     text = f"Together, {total['runs']} runs: "

@@ -16,6 +16,7 @@ from ftcm_core.observers import Observer
 from ftcm_core.params import Parameterised, param, per_joint
 from ftcm_core.plants import Plant
 from ftcm_core.plants.rigid_body import RigidBody
+from ftcm_core.policies import Policy
 from ftcm_core.references import Reference
 from ftcm_core.registry import Component, find
 from ftcm_core.robots import Robot
@@ -112,6 +113,8 @@ class Scenario(Parameterised):
     initial_state: InitialState = InitialState()
     disturbances: tuple[Disturbance, ...] = ()
     faults: tuple[Fault, ...] = ()
+    policies: tuple[Policy, ...] = ()
+    """What is done about faults that the detector tells."""
     plugins: tuple[str, ...] = ()
     """Plug-ins that its components come from, as of :func:`~ftcm_core.registry.load_plugin`."""
 
@@ -135,13 +138,19 @@ class Scenario(Parameterised):
                 f"duration: {count:.3g} ticks; expected at most {MAX_TICKS}; raise dt or shorten it"
             )
         if self.observer.type_name == "none":
-            for part, instead in ((self.controller, "ftsmc"), (self.detector, "")):
-                if part is not None and part.needs_observer:
+            taken: list[Component] = [c for policy in self.policies for c in policy.components().values()]
+            parts = [*([self.detector] if self.detector else []), *taken]
+            for part, instead in ((self.controller, "ftsmc"), *((part, "") for part in parts)):
+                if getattr(part, "needs_observer", False):
                     other = f", or a controller that needs none, e.g. {instead}" if instead else ""
                     raise Unsuited(
                         f"observer: none, but {part.kind} {part.type_name!r} uses the disturbance "
                         f"estimate; choose an observer, e.g. do{other}"
                     )
+        if self.policies and self.detector is None:
+            raise ParameterError(
+                "policies: act on what a detector says; choose one, e.g. detector: isolating"
+            )
         self._check_joints()
         limits, start, joints = self.limits, self.initial_state, self.robot.joints
         if limits.lower is not None and limits.upper is not None:
@@ -169,7 +178,7 @@ class Scenario(Parameterised):
             except ParameterError as error:
                 raise Unsuited(f"{place}.{error}") from None
             needs = ""
-            if isinstance(part, Fault):
+            if isinstance(part, (Fault, Policy)):
                 needs = part.unsuited(self.robot)
             elif isinstance(part, Disturbance):
                 needs = part.supports(joints) or ""
@@ -191,6 +200,12 @@ class Scenario(Parameterised):
             ("initial_state", self.initial_state),
             *((f"injection.disturbances.{i}", d) for i, d in enumerate(self.disturbances)),
             *((f"injection.faults.{i}", f) for i, f in enumerate(self.faults)),
+            *((f"policies.{i}", p) for i, p in enumerate(self.policies)),
+            *(
+                (f"policies.{i}.{kind}", component)
+                for i, p in enumerate(self.policies)
+                for kind, component in p.components().items()
+            ),
         ]
 
     @property
@@ -223,12 +238,12 @@ class Scenario(Parameterised):
     @property
     def fault_labels(self) -> tuple[str, ...]:
         """Name of each fault: its type and its number among those of that type, from 0."""
-        count: dict[str, int] = {}
-        labels = []
-        for fault in self.faults:
-            n = count[fault.type_name] = count.get(fault.type_name, -1) + 1
-            labels.append(f"{fault.type_name}_{n}")
-        return tuple(labels)
+        return _labels(self.faults)
+
+    @property
+    def policy_labels(self) -> tuple[str, ...]:
+        """Name of each policy, likewise."""
+        return _labels(self.policies)
 
     @property
     def hidden(self) -> bool:
@@ -248,7 +263,7 @@ class Scenario(Parameterised):
     @property
     def channels(self) -> tuple[Channel, ...]:
         """The data topics of a run."""
-        return channels(self.hidden, self.detector is not None)
+        return channels(self.hidden, self.detector is not None, bool(self.policies))
 
     def with_controller(self, name: str) -> Scenario:
         """Return this scenario with another controller at its defaults; unchanged if it is the same."""
@@ -278,12 +293,22 @@ class Scenario(Parameterised):
                 k: list(v) if isinstance(v, tuple) else v for k, v in self.initial_state.values.items()
             },
             "injection": {key: [c.to_mapping() for c in getattr(self, key)] for key in LISTS},
+            "policies": [policy.to_mapping() for policy in self.policies],
             **scalars,
         }
 
     def to_yaml(self) -> str:
         """Return the complete scenario as a file that reads back to an equal scenario."""
         return dump_yaml(self.to_mapping(), unicode=self.name.isprintable())
+
+
+def _labels(parts: tuple[Component, ...]) -> tuple[str, ...]:
+    count: dict[str, int] = {}
+    labels = []
+    for part in parts:
+        n = count[part.type_name] = count.get(part.type_name, -1) + 1
+        labels.append(f"{part.type_name}_{n}")
+    return tuple(labels)
 
 
 def replace(scenario: Scenario, **changes: Any) -> Scenario:

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import copy
 import importlib.resources
+import json
 import re
 import stat
 from collections.abc import Mapping, Sequence
@@ -220,6 +221,13 @@ class _Reader:
         cls, parameters = self._split(value, path, kind)
         return cast(Component, self.record(cls, parameters, path))
 
+    def components(self, entries: Any, path: str, kind: str) -> tuple[Component, ...]:
+        """Components of a list, which may be left out."""
+        entries = [] if entries is None else entries
+        if not isinstance(entries, list):
+            raise self.fail(path, f"{shown(entries)} is not a list of components")
+        return tuple(self.component(v, f"{path}.{i}", kind) for i, v in enumerate(entries))
+
     def _split(self, value: Any, path: str, kind: str) -> tuple[type[Component], dict[str, Any]]:
         """Class and parameters of a component as written."""
         if isinstance(value, str):
@@ -239,6 +247,8 @@ class _Reader:
             raise self.fail(f"{path}.type", f"{shown(name)} is not a name; expected e.g. {_example(kind)}")
         parameters = {k: v for k, v in value.items() if k != "type"}
         self.check_keys(parameters, path, ["type", *specs(cls)])
+        if kind == "policy":  # components inside it are kept as text
+            parameters = {k: json.dumps(v) if isinstance(v, dict) else v for k, v in parameters.items()}
         return cls, parameters
 
     def changed(self, robot: Robot, value: Any, path: str) -> Robot:
@@ -277,7 +287,9 @@ class _Reader:
 
     def scenario(self, data: Mapping[str, Any]) -> Scenario:
         rest = dict(data)
-        self.check_keys(rest, "", ["plugins", *COMPONENTS, "initial_state", "injection", *specs(Scenario)])
+        self.check_keys(
+            rest, "", ["plugins", *COMPONENTS, "initial_state", "injection", "policies", *specs(Scenario)]
+        )
         parts: dict[str, Any] = {"plugins": tuple(rest.pop("plugins", None) or ())}
         robots = {key: rest.pop(key, None) for key in ("plant", "model")}
         for key, kind in COMPONENTS.items():
@@ -304,11 +316,8 @@ class _Reader:
         injection = self._mapping_at(rest, "injection")
         self.check_keys(injection, "injection", list(LISTS))
         for key, kind in LISTS.items():
-            entries = injection.get(key)
-            entries = [] if entries is None else entries
-            if not isinstance(entries, list):
-                raise self.fail(f"injection.{key}", f"{shown(entries)} is not a list of components")
-            parts[key] = tuple(self.component(v, f"injection.{key}.{i}", kind) for i, v in enumerate(entries))
+            parts[key] = self.components(injection.get(key), f"injection.{key}", kind)
+        parts["policies"] = self.components(rest.pop("policies", None), "policies", "policy")
         start = self._mapping_at(rest, "initial_state")
         self.check_keys(start, "initial_state", list(specs(InitialState)))
         parts["initial_state"] = self.record(InitialState, start, "initial_state")
@@ -326,5 +335,6 @@ class _Reader:
 def _example(kind: str) -> str:
     examples = {"robot": "puma560", "plant": "rigid_body", "reference": "vo_kang_cosine",
                 "controller": "ftcm", "observer": "do", "detector": "residual_threshold",
-                "sensor": "encoder", "disturbance": "vo_kang_friction", "fault": "vo_kang_fault"}  # fmt: skip
+                "sensor": "encoder", "disturbance": "vo_kang_friction", "fault": "vo_kang_fault",
+                "policy": "safe_stop"}  # fmt: skip
     return examples[kind]

@@ -3,6 +3,7 @@
 
 tick k, t_k = k*dt (k an integer, time an integer number of nanoseconds, never accumulated)
   y_k   = sensors(x_k), u_{k-1} applied            plant      -> joint_states          (stamp t_k)
+  (policies: what r_{k-1} makes of y_k, of the observer, the law and the reference, from here on)
   est_k = observer.step(y_k)                       observer   -> disturbance_estimate  (stamp t_k)
   u_k   = controller.step(y_k, ref(t_k), est_k)    controller -> joint_torques         (stamp t_k)
   d_k   = injector.step(t_k, x_k, u_k)             injector   -> disturbance           (stamp t_k)
@@ -20,9 +21,10 @@ from typing import Any
 
 import numpy as np
 
-from ftcm_core.recording.trace import Array, Change, FaultEvent, Trace
+from ftcm_core.recording.trace import Array, Change, Decision, FaultEvent, Trace
 from ftcm_core.scenario import Scenario
-from ftcm_core.signals import TrueDisturbance, Vector, seconds
+from ftcm_core.signals import Detection, TrueDisturbance, Vector, seconds
+from ftcm_core.simulation.accommodation import Accommodation
 from ftcm_core.simulation.fault_chain import Phase
 from ftcm_core.simulation.stages import (
     ControllerStage,
@@ -43,6 +45,12 @@ class Loop:
         self.controller = ControllerStage(scenario)
         self.injector = InjectorStage(scenario)
         self.detector = DetectorStage(scenario) if scenario.detector else None
+        self.accommodation = Accommodation(scenario) if scenario.policies else None
+        self.decisions: list[Decision] = []
+        """What the policies decided so far, and the changes that they made."""
+        self.made: list[Change] = []
+        self._found: Detection | None = None
+        self._policy_labels = scenario.policy_labels
         self.hidden = scenario.hidden
         self.fault_events: list[FaultEvent] = []
         """What was decided of faults so far."""
@@ -58,16 +66,19 @@ class Loop:
             The row that is recorded, in the order of :data:`~ftcm_core.signals.COLUMNS`; u_k (N·m) and
             d_k (N·m).
         """
-        y = self.plant.measure()
-        tau_hat = self.observer.step(y)
-        u, reference = self.controller.step(time_ns, y, tau_hat)
+        y = seen = self.plant.measure()
+        if self.accommodation:
+            self._accommodate(self.accommodation, time_ns // self.plant.dt_ns)
+            seen = self.accommodation.measured(y)
+        tau_hat = self.observer.step(seen)
+        u, reference = self.controller.step(time_ns, seen, tau_hat)
         q, v = self.plant.motion
         d = self.injector.step(time_ns, q, v, u)
         row = (*q, *v, *y.effort, *tau_hat, *u, *d.torque, *reference.position, *reference.velocity)
         if self.hidden:
             row += (*y.position, *y.velocity, *self.plant.joint_torque)
         if self.detector:
-            found = self.detector.step(y, u, tau_hat)
+            self._found = found = self.detector.step(y, u, tau_hat)
             row += (*found.residual, *found.alarm, *found.verdict)
         return row, u, d
 
@@ -92,8 +103,24 @@ class Loop:
             return str(error) or type(error).__name__
         return self.plant.reason
 
+    def _accommodate(self, accommodation: Accommodation, tick: int) -> None:
+        """Do what the policies decide of what the detector said in the tick before."""
+        decisions = accommodation.hear(tick, self._found) if self._found else []
+        self.decisions += decisions
+        for decision in decisions:
+            for kind, component in accommodation.policies[decision.number].components().items():
+                getattr(self, kind).swap(component)
+                self.made.append(Change(tick, kind, component, self._policy_labels[decision.number]))
+        if decisions:
+            self.controller.slow(accommodation.pace)
+
     def change(self, change: Change, time_ns: int) -> None:
-        """Swap a component in, or arm or clear a fault, with the tick at ``time_ns``."""
+        """Swap a component in, or arm or clear a fault, with the tick at ``time_ns``.
+
+        What a policy did in another run, the policy does again in this one.
+        """
+        if change.by:
+            return
         if change.kind != "fault":
             getattr(self, change.kind).swap(change.component)
             return
@@ -163,7 +190,10 @@ def simulate(
     loop.look_at_faults(k * dt_ns)
     events = tuple(loop.fault_events)
     table = np.frombuffer(rows, dtype=np.float64)
-    return to_trace(scenario, table, *ended, changes=changes, fault_events=events)
+    done = sorted([*(c for c in changes if not c.by), *loop.made], key=lambda c: (c.tick, c.kind))
+    return to_trace(
+        scenario, table, *ended, changes=done, fault_events=events, decisions=tuple(loop.decisions)
+    )
 
 
 def to_trace(

@@ -38,6 +38,7 @@ from ftcm_core.signals import (
     Vector,
     seconds,
 )
+from ftcm_core.simulation.accommodation import Pace, paced
 from ftcm_core.simulation.drive import Drive, DriveState
 from ftcm_core.simulation.fault_chain import FaultChain, Phase, States
 
@@ -364,7 +365,17 @@ class ControllerStage:
         self.link = Link(scenario, "disturbance_estimate")
         n = self.model.joints
         self.state = ControlState(self.controller.init(n), self.link.chain.init(n))
+        self.pace: Pace | None = None
+        """How the reference goes on; None: as planned."""
         self._prepared: _Prepared | None = None
+
+    def reference_at(self, time_ns: int) -> ReferencePoint:
+        """Desired motion at t_k (integer ns)."""
+        return paced(self.reference, self.pace, seconds(time_ns), self.model.joints)
+
+    def slow(self, pace: Pace | None) -> None:
+        """Let the reference go on at a pace from the next tick on."""
+        self.pace, self._prepared = pace, None
 
     def swap(self, controller: Controller) -> None:
         """Use another law from the next tick on.
@@ -406,7 +417,7 @@ class ControllerStage:
         return self.link.chain.phases(self.state.link)
 
     def _without_estimate(self, time_ns: int, y: Measurement) -> _Prepared:
-        reference = self.reference.at(seconds(time_ns), self.model.joints)
+        reference = self.reference_at(time_ns)
         found = self.controller.prepare(self.model, self.dt, y, reference, self.state.law)
         return time_ns, y, reference, found
 

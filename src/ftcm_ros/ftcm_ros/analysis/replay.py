@@ -82,11 +82,16 @@ def record_of_bag(bag: BagContents) -> Record:
     """Make a record of what is in a bag.
 
     Raises:
-        FtcmError: the bag does not carry its scenario.
+        FtcmError: the bag does not carry its scenario, or that has policies.
     """
     scenario, plant = bag.trace.scenario, bag.nodes.get("plant", {})
     if scenario is None:
         raise FtcmError(f"bag {str(bag.path)!r} does not carry its scenario: it cannot be replayed")
+    if scenario.policies:
+        raise FtcmError(
+            f"bag {str(bag.path)!r}: its scenario has policies, and what they change is not replayed yet; "
+            "expected a run without"
+        )
     count = max(int(stamps.max()) for stamps in bag.stamps.values() if len(stamps)) // scenario.dt_ns + 1
     said: dict[str, list[Message | None]] = {}
     for topic, channel in channels_of(scenario).items():

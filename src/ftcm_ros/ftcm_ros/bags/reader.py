@@ -16,7 +16,7 @@ from rosbags.rosbag2 import Reader, ReaderError
 from rosbags.typesys import Stores, get_typestore
 
 from ftcm_core.errors import FtcmError, shown
-from ftcm_core.recording.trace import ENDED_EARLY, Change, FaultEvent, FaultOrder, Trace
+from ftcm_core.recording.trace import ENDED_EARLY, Change, Decision, FaultEvent, FaultOrder, Trace
 from ftcm_core.registry import find, plugins
 from ftcm_core.scenario import Scenario, from_mapping, parse_yaml
 from ftcm_core.signals import NANOSECONDS, channels
@@ -165,7 +165,7 @@ def read_bag(path: Path, scenario: Scenario | None = None) -> BagContents:
             missing[topic.name] = expected - have
     nodes = _last_diagnostics(typestore, others[DIAGNOSTICS.name.lstrip("/")])
     try:
-        changes = _changes(typestore, others[CHANGES.name], dt_ns)
+        changes, decisions = _changes(typestore, others[CHANGES.name], dt_ns)
     except FtcmError as error:
         raise _naming_plugins(error, scenario.plugins if scenario else ()) from None
     events, orders = _fault_events(typestore, others[FAULTS.name])
@@ -184,7 +184,9 @@ def read_bag(path: Path, scenario: Scenario | None = None) -> BagContents:
     trace = Trace(
         joint_names=names, dt=dt_ns / 1e9, time_ns=stamps, **columns,
         scenario=scenario, status=status, detail=detail, ended_at=ended_at,
-        changes=tuple(sorted([*changes, *orders], key=lambda c: c.tick)), fault_events=tuple(events),
+        changes=tuple(sorted([*changes, *orders], key=lambda c: (c.tick, c.kind))),
+        fault_events=tuple(events),
+        decisions=decisions,
         engine="graph",
     )  # fmt: skip
     return BagContents(
@@ -441,19 +443,27 @@ def _last_diagnostics(typestore: Any, messages: Sequence[bytes]) -> dict[str, di
     return nodes
 
 
-def _changes(typestore: Any, messages: Sequence[bytes], dt_ns: int) -> list[Change]:
+def _changes(
+    typestore: Any, messages: Sequence[bytes], dt_ns: int
+) -> tuple[list[Change], tuple[Decision, ...]]:
+    """Components put in force, and what policies decided, in the order of time."""
     found: list[Change] = []
+    decisions: list[Decision] = []
     for data in messages:
         array = typestore.deserialize_cdr(data, CHANGES.type)
         tick = (array.header.stamp.sec * 1_000_000_000 + array.header.stamp.nanosec) // dt_ns
         for status in array.status:
-            values = {v.key: v.value for v in status.values}
-            mapping = json.loads(values["component"])
+            values = {v.key: json.loads(v.value) for v in status.values}
+            if status.name == "policy":
+                decisions = [d for d in decisions if d.tick <= tick]
+                decisions.append(Decision(**values))
+                continue
+            mapping = values["component"]
             component = find(status.name, mapping.pop("type"))(**mapping)
             # An earlier tick than the last one: a new run has begun, and only the last run counts.
             found = [c for c in found if c.kind != status.name or c.tick <= tick]
-            found.append(Change(tick, status.name, component))
-    return sorted(found, key=lambda c: c.tick)
+            found.append(Change(tick, status.name, component, values.get("by", "")))
+    return sorted(found, key=lambda c: c.tick), tuple(sorted(decisions))
 
 
 def _fault_events(typestore: Any, messages: Sequence[bytes]) -> tuple[list[FaultEvent], list[Change]]:

@@ -10,6 +10,7 @@ from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
 
 from ftcm_core.compiled.stage import StageProgram
 from ftcm_core.errors import FtcmError
+from ftcm_core.recording.trace import Decision
 from ftcm_core.registry import Component, components
 from ftcm_core.signals import NANOSECONDS, Vector
 from ftcm_ros.nodes.reactive_node import ReactiveNode
@@ -39,6 +40,8 @@ class ComponentNode(ReactiveNode):
         """A component to use from the next tick on, and its program where stages are compiled."""
         self._announced: Component | None = None
         self._output: Vector = ()
+        self.changed_by = ""
+        """Label of the policy that has put in the component in force; empty: a parameter has."""
         self.stage: Any = None
         self.parameters = ComponentParameters(
             self, kind, initial, self.scenario.robot.joints, self._on_change, self._ready
@@ -61,6 +64,7 @@ class ComponentNode(ReactiveNode):
         """Begin afresh with the component that the parameters say."""
         super().configure()
         self._pending = self._announced = None
+        self.changed_by = ""
         self._output = (0.0,) * self.scenario.robot.joints
         for line in self.scenario.warnings_of(self.parameters.component):
             self.get_logger().warning(line)
@@ -69,6 +73,7 @@ class ComponentNode(ReactiveNode):
         """Apply a pending change before the inputs of the next tick are looked at."""
         if self._pending is not None and (self.aligner.last is None or sample.time_ns > self.aligner.last):
             (component, program), self._pending = self._pending, None
+            self.changed_by = ""
             self.stage.swap(*([component] if program is None else [component, program]))
             self.use(component)
         super().take(name, sample)
@@ -78,7 +83,7 @@ class ComponentNode(ReactiveNode):
         if component is not self._announced:
             step = tuple([new - old for new, old in zip(output, self._output)])
             tick = time_ns // self.scenario.dt_ns
-            self._announce(change_message(self.kind, component, time_ns, tick, step))
+            self._announce(change_message(self.kind, component, time_ns, tick, step, self.changed_by))
             if self._announced is not None:
                 self.get_logger().info(
                     f"{self.kind} {component.type_name} from tick {tick} on; output step {list(step)} N·m"
@@ -87,7 +92,9 @@ class ComponentNode(ReactiveNode):
         self._output = output
 
 
-def change_message(kind: str, component: Component, time_ns: int, tick: int, step: Vector) -> DiagnosticArray:
+def change_message(
+    kind: str, component: Component, time_ns: int, tick: int, step: Vector, by: str = ""
+) -> DiagnosticArray:
     """Describe a component that takes effect at a tick.
 
     Args:
@@ -96,18 +103,26 @@ def change_message(kind: str, component: Component, time_ns: int, tick: int, ste
         time_ns: stamp of its first tick, ns.
         tick: number of its first tick.
         step: change of its output from the tick before, N·m per joint.
+        by: label of the policy that has put it in, if one has.
     """
     mapping: dict[str, Any] = component.to_mapping()
-    values = {"tick": tick, "output_step": [round(x, 12) for x in step], "component": mapping}
-    array = DiagnosticArray(
-        status=[
-            DiagnosticStatus(
-                level=DiagnosticStatus.OK,
-                name=kind,
-                message=component.type_name,
-                values=[KeyValue(key=k, value=json.dumps(v)) for k, v in values.items()],
-            )
-        ]
-    )
+    values = {"tick": tick, "output_step": [round(x, 12) for x in step], "component": mapping, "by": by}
+    return _event(time_ns, DiagnosticStatus.OK, kind, component.type_name, values)
+
+
+def decision_message(time_ns: int, label: str, decision: Decision) -> DiagnosticArray:
+    """Describe what a policy has decided.
+
+    Args:
+        time_ns: stamp of the first tick in which it is in force, ns.
+        label: of the policy.
+        decision: what was decided.
+    """
+    return _event(time_ns, DiagnosticStatus.WARN, "policy", label, decision._asdict())
+
+
+def _event(time_ns: int, level: bytes, name: str, message: str, values: dict[str, Any]) -> DiagnosticArray:
+    pairs = [KeyValue(key=k, value=json.dumps(v)) for k, v in values.items()]
+    array = DiagnosticArray(status=[DiagnosticStatus(level=level, name=name, message=message, values=pairs)])
     array.header.stamp.sec, array.header.stamp.nanosec = divmod(time_ns, NANOSECONDS)
     return array

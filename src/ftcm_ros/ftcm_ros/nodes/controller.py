@@ -12,8 +12,9 @@ from ftcm_core.controllers import Controller
 from ftcm_core.limits import command_beyond
 from ftcm_core.registry import Component
 from ftcm_core.signals import Measurement
+from ftcm_core.simulation.accommodation import Pace
 from ftcm_core.simulation.stages import ControllerStage
-from ftcm_ros.nodes.component_node import ComponentNode
+from ftcm_ros.nodes.accommodating_node import AccommodatingNode
 from ftcm_ros.nodes.fault_desk import FaultDesk
 from ftcm_ros.nodes.main import run
 from ftcm_ros.nodes.reactive_node import Answer
@@ -22,8 +23,10 @@ from ftcm_ros.transport.composed import Composition
 from ftcm_ros.transport.topics import ESTIMATE, JOINT_STATES, REFERENCE, TORQUES
 
 
-class ControllerNode(ComponentNode):
+class ControllerNode(AccommodatingNode):
     """Runs the control law; a law that uses no observer does not wait for the estimate."""
+
+    tells = True
 
     def __init__(self, composition: Composition | None = None) -> None:
         """Subscribe measurements and estimates, publish torques and the reference."""
@@ -53,31 +56,32 @@ class ControllerNode(ComponentNode):
         self.faults.begin()
 
     def _require(self, law: Controller) -> None:
-        names = (JOINT_STATES.name, ESTIMATE.name)
-        self.aligner.required = names if law.needs_observer else names[:1]
+        self.require(JOINT_STATES, *[ESTIMATE] * law.needs_observer)
 
     def use(self, component: Component) -> None:
         """Wait for the estimate, or not, as the law needs it."""
         self._require(cast(Controller, component))
 
+    def slow(self, pace: Pace | None) -> None:
+        """The reference is here."""
+        self.stage.slow(pace)
+
     def prepare(self, time_ns: int, sample: JointSample) -> None:
         """All of the torque but the estimate, while the observer works."""
+        if self.accommodation:
+            return  # what the tick is made of is decided when all of it is there
         with contextlib.suppress(ArithmeticError, ValueError):  # the answer meets it again, and says so
             self.stage.prepare(time_ns, Measurement(*sample[1:]))
 
     def answer(self, time_ns: int, values: dict[str, JointSample]) -> Answer:
         """One torque and the reference it followed."""
-        estimate = values.get(ESTIMATE.name)
+        y, estimate = self.accommodated(time_ns, values), values.get(ESTIMATE.name)
         try:
-            u, reference = self.stage.step(
-                time_ns,
-                Measurement(*values[JOINT_STATES.name][1:]),
-                estimate.effort if estimate else self._zeros,
-            )
+            u, reference = self.stage.step(time_ns, y, estimate.effort if estimate else self._zeros)
         except (ArithmeticError, ValueError) as error:  # a law driven out of its domain: the run has diverged
             self.get_logger().error(f"tick {time_ns // self.scenario.dt_ns}: {error}")
             u = (math.nan,) * self.scenario.robot.joints
-            reference = self.scenario.reference.at(time_ns / 1e9, self.scenario.robot.joints)
+            reference = self.stage.reference_at(time_ns)
         if beyond := command_beyond(self._limits, self.codec.joint_names, self._output, u):
             self.beyond_limits += 1
             self.last_beyond = f"t = {time_ns / 1e9:g} s: {beyond}"

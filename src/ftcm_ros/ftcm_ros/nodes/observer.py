@@ -8,9 +8,8 @@ import sys
 from typing import cast
 
 from ftcm_core.observers import Observer
-from ftcm_core.signals import Measurement
 from ftcm_core.simulation.stages import ObserverStage
-from ftcm_ros.nodes.component_node import ComponentNode
+from ftcm_ros.nodes.accommodating_node import AccommodatingNode
 from ftcm_ros.nodes.main import run
 from ftcm_ros.nodes.reactive_node import Answer
 from ftcm_ros.transport.codec import JointSample
@@ -18,7 +17,7 @@ from ftcm_ros.transport.composed import Composition
 from ftcm_ros.transport.topics import ESTIMATE, JOINT_STATES
 
 
-class ObserverNode(ComponentNode):
+class ObserverNode(AccommodatingNode):
     """Runs the disturbance observer."""
 
     def __init__(self, composition: Composition | None = None) -> None:
@@ -34,11 +33,12 @@ class ObserverNode(ComponentNode):
         observer = cast(Observer, self.parameters.component)
         stage = ObserverStage(observer, self.scenario.model, self.scenario.dt)
         self.stage = self.staged(stage, observer)
+        self.require(JOINT_STATES)
 
     def answer(self, time_ns: int, values: dict[str, JointSample]) -> Answer:
         """One estimate."""
         try:
-            tau_hat = self.stage.step(Measurement(*values[JOINT_STATES.name][1:]), self.elapsed)
+            tau_hat = self.stage.step(self.accommodated(time_ns, values), self.elapsed)
         except (ArithmeticError, ValueError) as error:  # driven out of its domain: the run has diverged
             self.get_logger().error(f"tick {time_ns // self.scenario.dt_ns}: {error}")
             tau_hat = (math.nan,) * self.scenario.robot.joints

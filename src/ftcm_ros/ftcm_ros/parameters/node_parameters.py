@@ -73,6 +73,16 @@ _TICK = (
     ),
 )
 
+_ACCOMMODATING = (
+    *_TICK,
+    Setting(
+        "await_detection",
+        False,
+        "where the scenario has policies: wait in each tick for what the detector said of the one before, as "
+        "lockstep needs; false: use what has come",
+    ),
+)
+
 SETTINGS: dict[str, tuple[Setting, ...]] = {
     "plant": (
         *_TICK,
@@ -93,8 +103,8 @@ SETTINGS: dict[str, tuple[Setting, ...]] = {
             "real_time: ticks without fresh torque after which the drives brake (safe stop); 0: never",
         ),
     ),
-    "observer": _TICK,
-    "controller": _TICK,
+    "observer": _ACCOMMODATING,
+    "controller": _ACCOMMODATING,
     "injector": _TICK,
     "detector": _TICK,
     "recorder": (

@@ -148,7 +148,10 @@ class Run:
             "processors": self.options.processors,
         }
         stages = {n: {"stages": self.options.stages} for n in self.nodes if n != "recorder"}
+        awaits = {"await_detection": self.options.mode == "lockstep"}
         extra: dict[str, dict[str, Any]] = {
+            "observer": awaits,
+            "controller": awaits,
             "plant": {"mode": self.options.mode, "recorder_window": RECORDER_WINDOW},
             "recorder": {
                 "bag": str(self.bag.resolve()),

@@ -55,7 +55,7 @@ CHANGES = Topic(
     _ARRAY,
     ("controller", "observer", "detector"),
     ("recorder",),
-    "the component in force and its parameters, stamped with its first tick",
+    "the component in force and its parameters, or what a policy has decided, stamped with its first tick",
     latched=True,
     depth=100,
 )
