@@ -20,6 +20,7 @@ from ftcm_core.disturbances import Disturbance
 from ftcm_core.errors import ParameterError, ScenarioError
 from ftcm_core.faults import ActuatorFault, AdditiveFault, CommunicationFault, Fault, RobotFault, SensorFault
 from ftcm_core.params import ParamSpec, specs
+from ftcm_core.policies import Policy
 from ftcm_core.registry import KINDS, components
 from ftcm_core.robots import Robot
 from ftcm_core.robots.puma560 import Puma560
@@ -53,7 +54,7 @@ def suits(cls: type, robot: Robot) -> bool:
     if issubclass(cls, Robot):
         return False
     component = fitting(cls, robot)
-    if isinstance(component, Fault):
+    if isinstance(component, (Fault, Policy)):
         return not component.unsuited(robot)
     return not (isinstance(component, Disturbance) and component.supports(robot.joints))
 
@@ -171,6 +172,12 @@ def outputs(kind: str, component: Any, robot: Robot, s: Sample) -> tuple[list[Ve
         one, second = component.step(robot, DT, s.before, u, s.estimate, first)
         two, third = component.step(robot, DT, s.now, u, s.estimate, second)
         return [*one, *two], [first, second, third]
+    if kind == "policy":
+        first, whole, broken = component.memory(joints), (0.0,) * joints, (1.0,) * joints
+        one, second = component.measured(DT, s.before, whole, first)
+        two, third = component.measured(DT, s.now, broken, second)
+        assert one == s.before, "nothing is replaced before a decision"
+        return [*one, *two], [first, second, third]
     return stepped(component, robot, s)
 
 
@@ -213,7 +220,7 @@ def leaves(value: Any) -> Iterator[Any]:
 
 def key_of(kind: str) -> str:
     """Where a scenario has a component of a kind."""
-    return {"disturbance": "disturbances", "fault": "faults"}.get(kind, kind)
+    return {"disturbance": "disturbances", "fault": "faults", "policy": "policies"}.get(kind, kind)
 
 
 def scenario_with(kind: str, entry: Any) -> dict[str, Any]:
@@ -226,6 +233,8 @@ def scenario_with(kind: str, entry: Any) -> dict[str, Any]:
     }
     if kind in ("disturbance", "fault"):
         data["injection"] = {key_of(kind): [entry]}
+    elif kind == "policy":
+        data |= {"policies": [entry], "detector": "isolating"}
     else:
         data[kind] = entry
     if kind in ("controller", "detector"):
@@ -407,6 +416,8 @@ def test_what_fits_makes_a_scenario(kind: str, component: Any, robot: Robot) -> 
     }
     key = key_of(kind)
     fields[key] = (component,) if key != kind else component
+    if kind == "policy":
+        fields["detector"] = components("detector")["isolating"]()
     scenario = Scenario(**fields)
     assert scenario.columns
     for spec in specs(type(component)).values():

@@ -29,8 +29,10 @@ class SensorMemory(NamedTuple):
 
     past: tuple[Past, ...]
     """The oldest first."""
-    integrals: tuple[float | None, ...]
-    """Positions as the last call gave them; None for a joint whose sensor is not broken."""
+    integrals: Vector
+    """Positions as the last call gave them."""
+    broken: Vector
+    """As the last call was told."""
 
 
 @register("policy", "replace_sensor")
@@ -60,20 +62,17 @@ class ReplaceSensor(Policy):
 
     def memory(self, joints: int) -> SensorMemory:
         """Nothing measured yet."""
-        return SensorMemory((), (None,) * joints)
+        return SensorMemory((), (0.0,) * joints, (0.0,) * joints)
 
     def measured(
         self, dt: float, y: Measurement, broken: Vector, memory: SensorMemory
     ) -> tuple[Measurement, SensorMemory]:
         """Return the measurement with the signals of broken joints replaced."""
-        past, integrals = memory
+        past, given = memory.past, y
         past = past and (*past[:-1], past[-1]._replace(dt=dt))
-        given = y
         if past and any(broken):
             if self.quantity == "position":
-                integrals = self._integrals(past, y, broken, integrals)
-                q = tuple([x if s is None else s for x, s in zip(y.position, integrals)])
-                given = y._replace(position=q)
+                given = y._replace(position=self._integrals(past, y, broken, memory))
             else:
                 given = y._replace(velocity=self._slopes(past, y, broken))
         following = [*past, Past(0.0, y.position, y.velocity)]
@@ -81,21 +80,21 @@ class ReplaceSensor(Policy):
         length = sum([p.dt for p in following])
         while len(following) > 2 and length - following[0].dt >= wanted:
             length -= following.pop(0).dt
-        return given, SensorMemory(tuple(following), integrals)
+        return given, SensorMemory(tuple(following), given.position, broken)
 
     def _integrals(
-        self, past: tuple[Past, ...], y: Measurement, broken: Vector, integrals: tuple[float | None, ...]
-    ) -> tuple[float | None, ...]:
+        self, past: tuple[Past, ...], y: Measurement, broken: Vector, memory: SensorMemory
+    ) -> Vector:
         found = []
-        for j, (wrong, s) in enumerate(zip(broken, integrals)):
+        for j, (q, wrong) in enumerate(zip(y.position, broken)):
             if wrong:
-                steps = past[-1:]
-                if s is None:
-                    s, steps = past[0].position[j], past
+                steps, q = past[-1:], memory.integrals[j]
+                if not memory.broken[j]:  # decided just now
+                    steps, q = past, past[0].position[j]
                 speeds = [*[p.velocity[j] for p in steps], y.velocity[j]]
                 for p, before, after in zip(steps, speeds, speeds[1:]):
-                    s += 0.5 * p.dt * (before + after)
-            found.append(s)
+                    q += 0.5 * p.dt * (before + after)
+            found.append(q)
         return tuple(found)
 
     def _slopes(self, past: tuple[Past, ...], y: Measurement, broken: Vector) -> Vector:
