@@ -176,7 +176,7 @@ def test_written_scenario_has_every_default() -> None:
     assert mapping["controller"]["epsilon"] == 1e-4
     assert mapping["torque_limits"] is None
     parts = {"robot", "model", "plant", "reference", "controller", "observer", "detector", "sensor"}
-    assert set(mapping) == parts | {"initial_state", "injection"} | set(specs(Scenario))
+    assert set(mapping) == parts | {"initial_state", "injection", "policies"} | set(specs(Scenario))
     assert mapping["model"] == mapping["robot"]
     assert mapping["plant"] == {"type": "rigid_body", "integrator": "rk4", "substeps": 1}
     assert mapping["detector"] is None
