@@ -23,6 +23,10 @@ from typing import Any, cast
 import numpy as np
 
 from ftcm_core import campaign, compiled
+from ftcm_core.faults.dropped_messages import DroppedMessages
+from ftcm_core.faults.loss_of_effectiveness import LossOfEffectiveness
+from ftcm_core.faults.sensor_bias import SensorBias
+from ftcm_core.faults.vo_kang_fault import VoKangFault
 from ftcm_core.plants.rigid_body import Motion, RigidBody, rk4
 from ftcm_core.recording.provenance import provenance
 from ftcm_core.report.results import to_json
@@ -40,6 +44,11 @@ LINKS = (
     ((0.4318, 0.0, -0.0934), 4.80, (0.0, -0.070, 0.014), (0.066, 0.0125, 0.086)),
 )
 """Links of the rigid-body models: offset (m), mass (kg), centre (m), inertia (kg·m²); Armstrong 1986."""
+
+WAITING = (
+    LossOfEffectiveness(start=1e3), SensorBias(start=1e3), VoKangFault(start=1e3), DroppedMessages(start=1e3),
+)  # fmt: skip
+"""One fault of each site; none acts while it is timed."""
 
 Step = Callable[[Vector, Vector, Vector], Any]
 
@@ -121,6 +130,18 @@ def measure(*, quick: bool = False, jobs: int | None = None) -> dict[str, Any]:
             ratios = [b / a for a, b in zip(found[kind + own], found[kind + other])]
             rows.append(_row(f"{kind.strip(', ')}: {other} / ftcm_core", ratios, "×"))
 
+    waiting = {
+        "no fault": replace(scenario, faults=()),
+        "the paper's fault, not yet acting": scenario,
+        "a fault of each site, none acting": replace(scenario, faults=WAITING),
+    }
+    turns = _in_turns({name: _ticks_of(one) for name, one in waiting.items()}, 2 * repetitions)
+    for name, samples in turns.items():
+        rows.append(_row(f"whole tick, {name}", [1e6 * x / CALLS for x in samples], "µs"))
+        ratios = [b / a for a, b in zip(turns["no fault"], samples)]
+        if name != "no fault":
+            rows.append(_row(f"whole tick: {name} / no fault", ratios, "×"))
+
     runs = 50 if quick else 1000
     planned = campaign.Campaign(
         "paper", runs=runs, seed=1,
@@ -156,6 +177,17 @@ def text(found: dict[str, Any]) -> str:
         f"numpy {machine['numpy']}; load {load_['before'][0]:.2f} before, {load_['after'][0]:.2f} after"
     )
     return "\n".join(lines)
+
+
+def _ticks_of(scenario: Scenario) -> Callable[[], None]:
+    """Some ticks of a scenario, without what it takes to make them."""
+
+    def run() -> None:
+        loop = Loop(scenario)
+        for k in range(CALLS):
+            loop.tick(k * scenario.dt_ns, False, lambda row: None)
+
+    return run
 
 
 def _in_turns(functions: dict[str, Callable[[], Any]], repetitions: int) -> dict[str, list[float]]:

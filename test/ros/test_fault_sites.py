@@ -8,6 +8,7 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 
 pytest.importorskip("rclpy", reason="ROS 2 (rclpy) is not installed")
@@ -65,6 +66,30 @@ def test_a_fault_of_every_site_at_once(experiment: Callable[..., Any], tmp_path:
     for i, fault in enumerate(scenario.faults):  # each of them has made a difference
         others = scenario.faults[:i] + scenario.faults[i + 1 :]
         assert not same(expected, simulate(replace(scenario, faults=others))), fault
+
+
+def test_a_fault_of_every_site_in_real_time(experiment: Callable[..., Any], tmp_path: Path) -> None:
+    """Composed, as is the default there: each acts when it is said to, whatever deadlines are missed."""
+    faults = [
+        {"type": "loss_of_effectiveness", "start": 0.25, "loss": 0.3},
+        {"type": "sensor_bias", "start": 0.4, "bias": 0.05, "joint": 3},
+        {"type": "vo_kang_fault", "start": 0.3},
+        {"type": "dropped_messages", "start": 0.35, "topic": "disturbance_estimate", "probability": 0.5},
+    ]
+    scenario = from_mapping({**EVERYTHING, "sensor": "ideal", "injection": {"faults": faults}})
+    assert {fault.site for fault in scenario.faults} == {"actuator", "sensor", "dynamics", "communication"}
+    trace = over_the_graph(experiment, tmp_path, scenario, "--mode", "real_time").trace
+    assert (trace.status, trace.ticks) == ("completed", scenario.last_tick + 1)
+    assert trace.fault_intervals == simulate(scenario).fault_intervals
+    assert trace.joint_torque is not None
+    assert trace.measured_position is not None
+    before, after = slice(None, 250), slice(402, None)
+    assert (trace.joint_torque[before] == trace.effort[before]).all()
+    assert (trace.joint_torque[after] != trace.effort[after]).any(axis=1).all()
+    assert (trace.measured_position[:400] == trace.position[:400]).all()
+    assert np.allclose(trace.measured_position[after] - trace.position[after], [0.0, 0.0, 0.05])
+    assert not trace.disturbance[before].any()
+    assert trace.disturbance[after].any()
 
 
 @pytest.mark.slow

@@ -18,6 +18,7 @@ from typing import Any
 import ftcm_core
 from ftcm_core import campaign
 from ftcm_core.cli.calibration import calibrate_command
+from ftcm_core.cli.detectable import detectable_command, detectable_options
 from ftcm_core.cli.listing import describe_command, list_command
 from ftcm_core.cli.output import drop_stdout, fail
 from ftcm_core.cli.replaying import replay_command, replay_options
@@ -199,6 +200,14 @@ def _parser() -> argparse.ArgumentParser:
     )  # fmt: skip
     sub.add_argument("--json", action="store_true", help="print one JSON object instead of YAML")
     sub.add_argument("--output", metavar="FILE", help="write the detector and where it comes from to a file")
+
+    sub = command(
+        "detectable",
+        detectable_command,
+        "find the size of a fault that a detector just detects",
+        "ftcm detectable paper --size injection.faults.0.severity=0.01:1 --set detector=cusum duration=15",
+    )
+    detectable_options(sub)
 
     sub = command("list", list_command, "list scenarios and components", "ftcm list controller")
     sub.add_argument("kind", nargs="?", metavar="KIND", help=f"one of scenario, {', '.join(KINDS)}")
