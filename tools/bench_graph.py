@@ -235,8 +235,14 @@ def say(text: str) -> None:
     print(f"  {text} ...", file=sys.stderr, flush=True)
 
 
-def measure(repetitions: int, seconds: float) -> list[Row]:
-    """Measure all rows of the graph."""
+def measure(repetitions: int, seconds: float, processes: float) -> list[Row]:
+    """Measure all rows of the graph.
+
+    Args:
+        repetitions: of each.
+        seconds: length of the real-time runs of composed nodes, s.
+        processes: of those of nodes in a process each, s.
+    """
     lost = [holes(3.0) for _ in range(repetitions)]
     rows = [
         ("the machine alone: holes over 0.1 ms in a busy loop, per s", spread([n for n, _ in lost]), ""),
@@ -245,7 +251,7 @@ def measure(repetitions: int, seconds: float) -> list[Row]:
     with tempfile.TemporaryDirectory() as scratch:
         folder = Path(scratch)
         rows += lockstep_rows(folder, repetitions)
-        rows += real_time_rows(folder, repetitions, seconds)
+        rows += real_time_rows(folder, repetitions, seconds, processes)
         rows += analysis_rows(folder, repetitions)
     return rows
 
@@ -321,10 +327,12 @@ VARIANTS: dict[str, tuple[tuple[str, ...], bool, dict[str, str]]] = {
 RATES = {"2 kHz": "dt=0.0005", "4 kHz": "dt=0.00025"}
 
 
-def real_time_rows(folder: Path, repetitions: int, seconds: float) -> list[Row]:
+def real_time_rows(folder: Path, repetitions: int, seconds: float, processes: float) -> list[Row]:
     """The graph at 1 kHz, composed and as processes, beside a bare loop and a bare chain, all in turn."""
-    length = ("--set", f"duration={seconds:g}")
-    lockstep = experiment(folder, "lockstep", *length)
+    lengths = {variant: processes if "processes" in variant else seconds for variant in VARIANTS}
+    lockstep = {
+        s: experiment(folder, f"lockstep{s:g}", "--set", f"duration={s:g}") for s in (seconds, processes)
+    }
     runs: dict[str, list[dict[str, Any]]] = {variant: [] for variant in VARIANTS}
     loop: list[float] = []
     chain: list[float] = []
@@ -336,16 +344,19 @@ def real_time_rows(folder: Path, repetitions: int, seconds: float) -> list[Row]:
             say(f"real time, {variant}, repetition {i + 1} of {repetitions}")
             name = f"rt{i}{variant.replace(' ', '')}"
             with busy_core() if beside else contextlib.nullcontext():
+                length = ("--set", f"duration={lengths[variant]:g}")
                 runs[variant].append(experiment(folder, name, "--mode", "real_time", *length, *arguments))
     rows: list[Row] = [
         ("bare loop at 1 kHz, the same sleep and no work: missed, %", spread(loop, 3), ""),
         ("bare chain of four processes at 1 kHz, no work, no recorder: missed, %", spread(chain, 2), ""),
     ]
     for variant, (_, _, aims) in VARIANTS.items():
-        rows += variant_rows(variant, runs[variant], lockstep, seconds, aims)
+        length_s = lengths[variant]
+        rows += variant_rows(variant, runs[variant], lockstep[length_s], length_s, aims)
     for rate, setting in RATES.items():
         say(f"real time, composed at {rate}")
-        fast = experiment(folder, f"rt{rate}", "--mode", "real_time", "--composed", *length, "--set", setting)
+        settings = ("--set", f"duration={seconds:g}", "--set", setting)
+        fast = experiment(folder, f"rt{rate}", "--mode", "real_time", "--composed", *settings)
         plant = fast["timing"]["ftcm"]["nodes"]["plant"]
         share = 100.0 * int(plant["missed_deadlines"]) / int(plant["ticks"])
         rows.append((f"real time, composed at {rate}: missed, %", f"{share:.2f}", ""))
@@ -414,6 +425,9 @@ def main(argv: list[str] | None = None) -> int:
     parser = argparse.ArgumentParser(prog="tools/bench_graph.py", description=__doc__)
     parser.add_argument("--repetitions", type=int, default=3)
     parser.add_argument("--seconds", type=float, default=20.0, help="length of the real-time runs, s")
+    parser.add_argument(
+        "--process-seconds", type=float, help="of those with a process per node, s; default: as --seconds"
+    )
     parser.add_argument("--core", action="store_true", help="measure the library without ROS, too")
     parser.add_argument("--output", type=Path, help="also write the results to this file, as a page")
     options = parser.parse_args(argv)
@@ -421,8 +435,9 @@ def main(argv: list[str] | None = None) -> int:
     os.environ["ROS_DOMAIN_ID"] = str(domain.number)
     set_defaults()
     before = os.getloadavg()[0]
+    processes = options.process_seconds or options.seconds
     try:
-        rows = measure(options.repetitions, options.seconds)
+        rows = measure(options.repetitions, options.seconds, processes)
     except FtcmError as error:
         print(f"benchmark: error: {error}", file=sys.stderr)
         return 1
@@ -438,6 +453,7 @@ def main(argv: list[str] | None = None) -> int:
         *(f"| {what} | {value} | {aim} |" for what, value, aim in rows),
     ]
     arguments = f"--repetitions {options.repetitions} --seconds {options.seconds:g}"
+    arguments += f" --process-seconds {processes:g}" if processes != options.seconds else ""
     page = [
         "# Measured",
         "",
