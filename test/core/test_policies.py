@@ -71,6 +71,14 @@ def test_only_the_verdict_and_the_joint_that_were_asked_for() -> None:
     assert accommodation.hear(3, detection(0.0, 0.0, 1.0, verdict=2.0)) == [Decision(3, 0, 3, "sensor")]
 
 
+@pytest.mark.parametrize("verdict", [7.0, -1.0, 2.5, float("nan")])
+def test_a_verdict_that_means_nothing_is_unknown(verdict: float) -> None:
+    """Somebody else's detector may say anything; its alarm counts."""
+    accommodation = Accommodation(scenario("safe_stop", {"type": "derate", "verdict": "sensor"}))
+    found = accommodation.hear(1, detection(0.0, 1.0, 0.0)._replace(verdict=(0.0, verdict, 0.0)))
+    assert found == [Decision(1, 0, 2, "unknown")]
+
+
 def test_sensors_are_replaced_joint_by_joint_and_the_law_is_switched_once() -> None:
     """Each joint has sensors of its own, the robot one law."""
     accommodation = Accommodation(scenario("replace_sensor", {"type": "switch", "controller": "ctc"}))

@@ -92,7 +92,7 @@ class Accommodation:
                 if broken[joint] or not n or (n - 1) * self.dt < policy.hold * (1.0 - 1e-9):
                     continue
                 if policy.each_joint or not any(broken):
-                    decisions.append(Decision(tick, number, joint + 1, VERDICTS[int(found.verdict[joint])]))
+                    decisions.append(Decision(tick, number, joint + 1, _word(found.verdict[joint])))
                     broken[joint] = 1.0
             following.append(PolicyState(tuple(said), tuple(broken), state.memory))
         self.state = tuple(following)
@@ -119,3 +119,8 @@ class Accommodation:
             return
         reached, before, _ = self.pace.at(t) if self.pace else (t, 1.0, 0.0)
         self.pace = Pace(t, before, reached, *wanted)
+
+
+def _word(verdict: float) -> str:
+    """What a verdict says; a number that means nothing, as of somebody else's detector, is ``unknown``."""
+    return VERDICTS[int(verdict)] if verdict in range(len(VERDICTS)) else "unknown"
