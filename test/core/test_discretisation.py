@@ -103,10 +103,12 @@ def test_resolvent_solves_its_equation(x: float, h: float, p: FTCM) -> None:
     assert resolvent(-x, h, *shape(p)) == (-y, -g)
 
 
+@pytest.mark.parametrize("p", [FTCM(), FTCM(gamma1=1.0, gamma2=38.0, mu1=1.0, mu2=1.0, alpha=0.5)])
+@pytest.mark.parametrize("h", [DT, 0.02])
 @pytest.mark.parametrize("x", [0.0, 5e-324, -1e-320, 1e-200, 1e200, -1e300])
-def test_resolvent_at_the_ends_of_the_floats(x: float) -> None:
+def test_resolvent_at_the_ends_of_the_floats(x: float, h: float, p: FTCM) -> None:
     """No division by zero, no overflow."""
-    assert all(map(math.isfinite, resolvent(x, DT, *shape(FTCM()))))
+    assert all(map(math.isfinite, resolvent(x, h, *shape(p))))
 
 
 @settings(deadline=None)

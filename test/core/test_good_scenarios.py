@@ -259,6 +259,7 @@ fixed = {
     "model": st.none(),
     "plant": st.none(),
     "detector": st.none(),
+    "policies": st.just([]),
     "observer": st.builds(
         lambda k1, k2: {"type": "do", "k1": k1, "k2": k2}, st.floats(10.0, 1e5), st.floats(1.0, 500.0)
     ),

@@ -254,7 +254,7 @@ def test_a_frozen_position_that_the_passive_law_cannot_survive() -> None:
     ("policies", "more", "said"),
     [
         ([SWITCH | {"controller": "ftmc"}], {}, "policies.0.controller: no controller 'ftmc'; did you"),
-        ([SWITCH | {"controller": {"c": 1}}], {}, "policies.0.controller: has no 'type'"),
+        ([SWITCH | {"controller": {"c": 1}}], {}, "policies.0.controller: {'c': 1} has no 'type'"),
         ([SWITCH | {"controller": {"type": "smc", "cc": 1}}], {}, "0.controller: cc: unknown key"),
         ([SWITCH | {"observer": "{"}], {}, "policies.0.observer: '{' is neither a name nor a mapping"),
         ([SWITCH | {"controller": {"type": "smc", "c": [1, 2]}}], {}, "policies.0.controller.c: "),

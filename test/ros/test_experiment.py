@@ -50,7 +50,9 @@ def test_lockstep_equals_the_in_process_run(experiment: Experiment, tmp_path: Pa
     assert bag.trace.status == "completed"
     assert bag.trace.ticks == 1001
     assert same(bag.trace, simulate(load("paper", overrides, controller=controller)))
-    assert set(bag.nodes) == set(NODES)
+    assert (
+        {"plant"} <= set(bag.nodes) <= set(NODES)
+    )  # others tell once a second, and then when the run has ended
     assert "detection" not in bag.stamps
     summary = json.loads((tmp_path / "runs" / "test" / "summary.json").read_text())
     assert set(summary["timing_us"][controller]) == {"observer", "controller", "injector", "chain"}

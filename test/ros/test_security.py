@@ -48,7 +48,7 @@ def test_the_policy_allows_what_the_nodes_have_and_no_more(
         "[{type: sensor_bias, trigger: hand}, {type: vo_kang_fault, trigger: hand}, "
         "{type: dropped_messages, topic: disturbance_estimate, trigger: hand}]"
     )
-    more = ["detector=residual_threshold", f"injection.faults={faults}"]
+    more = ["detector=residual_threshold", "policies=[safe_stop]", f"injection.faults={faults}"]
     scenario = load("paper", ["sensor={type: encoder}", *more])
     (tmp_path / "every.yaml").write_text(scenario.to_yaml(), encoding="utf-8")
     for name in ALL_NODES:

@@ -63,7 +63,7 @@ def resolvent(
     s = min(high, b / (2.0 * h * gamma2 * logistic(mu2 * phi)))
     y = g = 0.0
     for _ in range(ITERATIONS):
-        if s == 0.0:  # x is zero, or so small that s is
+        if alpha * s == 0.0:  # x is zero, or so small that s is
             break
         y = float(s ** (1.0 / alpha))
         w1 = logistic(mu1 * (y - phi))

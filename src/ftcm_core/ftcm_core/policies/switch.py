@@ -61,9 +61,10 @@ def _component(kind: str, text: str) -> Component:
         mapping = json.loads(text) if text.startswith("{") else {"type": text}
     except ValueError:
         raise ParameterError(f"{shown(text)} is neither a name nor a mapping") from None
-    name = mapping.pop("type", None)
+    name = mapping.get("type")
     if not isinstance(name, str):
-        raise ParameterError(f"has no 'type'; expected the name of a {kind}")
+        raise ParameterError(f"{shown(mapping)} has no 'type'; expected the name of a {kind}")
+    del mapping["type"]
     cls = find(kind, name)
     for key in mapping:
         if key not in specs(cls):

@@ -26,7 +26,7 @@ class AccommodatingNode(ComponentNode):
         """As of :class:`~ftcm_ros.nodes.component_node.ComponentNode`."""
         super().__init__(kind, composition)
         self.accommodation: Accommodation | None = None
-        self._awaits = bool(self.scenario.policies) and bool(self.setting("await_detection"))
+        self._awaits = bool(self.setting("await_detection") and self.scenario.policies)
         self._tell_decision = self.plane.publisher(CHANGES) if self.tells else None
 
     def listen(self, needs: dict[Topic, tuple[str, ...]]) -> None:
