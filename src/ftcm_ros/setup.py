@@ -35,6 +35,9 @@ setup(
             "fault = ftcm_ros.run.fault:main",
             "replay = ftcm_ros.analysis.replay:main",
         ],
-        "ftcm.commands": ["replay = ftcm_ros.analysis.replay:replay_bags"],
+        "ftcm.commands": [
+            "doctor = ftcm_ros.doctor:examine",
+            "replay = ftcm_ros.analysis.replay:replay_bags",
+        ],
     },
 )

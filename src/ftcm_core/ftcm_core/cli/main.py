@@ -3,7 +3,7 @@
 
 Results go to stdout, warnings, progress and errors to stderr. Exit status: 0 done (a run that diverges is a
 result), 1 the machine failed (disk, memory) or a replay differs, 2 a mistake in what was asked, 130
-interrupted.
+interrupted; ``doctor`` says 1 where no run is possible.
 """
 
 from __future__ import annotations
@@ -18,6 +18,7 @@ from typing import Any
 import ftcm_core
 from ftcm_core import campaign
 from ftcm_core.cli.calibration import calibrate_command
+from ftcm_core.cli.doctor import doctor_command
 from ftcm_core.cli.listing import describe_command, list_command
 from ftcm_core.cli.output import drop_stdout, fail
 from ftcm_core.cli.replaying import replay_command, replay_options
@@ -216,4 +217,12 @@ def _parser() -> argparse.ArgumentParser:
         help="of the picture: values other than the defaults, e.g. profile=ramp",
     )  # fmt: skip
     sub.add_argument("--json", action="store_true", help="print one JSON object")
+
+    sub = command(
+        "doctor",
+        doctor_command,
+        "say what this machine has and what is missing; exit status 1 if no run is possible",
+        "ftcm doctor",
+    )
+    sub.add_argument("--json", action="store_true", help="print the findings as one JSON list")
     return parser
