@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""``ftcm doctor``: one line for each thing, what to do about it, and a status that says whether a run is possible."""
+"""``ftcm doctor``: one line for each thing, what to do, and a status that says whether a run is possible."""
 
 from __future__ import annotations
 

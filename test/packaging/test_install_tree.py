@@ -14,6 +14,8 @@ import pytest
 from ftcm_ros.parameters.node_parameters import ALL_NODES
 
 EXECUTABLES = {*ALL_NODES, "composed", "experiment", "analyse", "fault", "replay"}
+COMMANDS = {"doctor", "replay"}
+"""What the package brings to the command `ftcm`."""
 
 
 def prefix_of(package):
@@ -100,7 +102,7 @@ import importlib.metadata, json
 points = importlib.metadata.distribution({package!r}).entry_points
 print(json.dumps([p.name for p in points if callable(p.load())]))
 """
-    expected = {"ftcm"} if package == "ftcm_core" else EXECUTABLES
+    expected = {"ftcm"} if package == "ftcm_core" else EXECUTABLES | COMMANDS
     assert set(run_installed(code, tmp_path)) == expected
 
 
