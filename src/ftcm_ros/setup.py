@@ -14,6 +14,7 @@ setup(
     data_files=[
         ("share/ament_index/resource_index/packages", ["resource/ftcm_ros"]),
         ("share/ftcm_ros", ["package.xml"]),
+        ("share/ftcm_ros/launch", ["launch/experiment.launch.py", "launch/node.launch.py"]),
     ],
     package_data={"ftcm_ros.transport": ["fastdds.xml"]},
     zip_safe=False,
@@ -32,6 +33,7 @@ setup(
             "composed = ftcm_ros.nodes.composed:main",
             "experiment = ftcm_ros.run.experiment:main",
             "analyse = ftcm_ros.analysis.analyse:main",
+            "drive = ftcm_ros.run.drive:main",
             "fault = ftcm_ros.run.fault:main",
             "replay = ftcm_ros.analysis.replay:main",
         ],

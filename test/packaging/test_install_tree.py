@@ -13,7 +13,7 @@ import pytest
 
 from ftcm_ros.parameters.node_parameters import ALL_NODES
 
-EXECUTABLES = {*ALL_NODES, "composed", "experiment", "analyse", "fault", "replay"}
+EXECUTABLES = {*ALL_NODES, "composed", "experiment", "analyse", "drive", "fault", "replay"}
 COMMANDS = {"doctor", "replay"}
 """What the package brings to the command `ftcm`."""
 
@@ -45,6 +45,13 @@ def test_ros2_run_finds_every_executable():
     folder = prefix_of("ftcm_ros") / "lib" / "ftcm_ros"
     found = {path.name for path in folder.iterdir() if path.is_file() and os.access(path, os.X_OK)}
     assert found == EXECUTABLES
+
+
+def test_ros2_launch_finds_every_launch_file(root):
+    installed = prefix_of("ftcm_ros") / "share" / "ftcm_ros" / "launch"
+    files = {path.name: path.read_text("utf-8") for path in (root / "src/ftcm_ros/launch").glob("*.py")}
+    assert {path.name: path.read_text("utf-8") for path in installed.glob("*.py")} == files
+    assert {*files} == {"experiment.launch.py", "node.launch.py"}
 
 
 def test_ftcm_is_a_command_once_the_workspace_is_sourced(tmp_path):
