@@ -75,12 +75,14 @@ def test_config_files_are_installed_as_they_are_in_the_workspace(root, tmp_path)
 import importlib.resources, json, pathlib
 config = importlib.resources.files("ftcm_core") / "config"
 with importlib.resources.as_file(config) as folder:
-    files = {str(p.relative_to(folder)): p.read_text("utf-8") for p in sorted(folder.rglob("*.yaml"))}
+    files = {str(p.relative_to(folder)): p.read_text("utf-8") for pattern in ("*.yaml", "layouts/*")
+             for p in sorted(folder.rglob(pattern))}
 print(json.dumps(files))
 """
     installed = run_installed(code, tmp_path)
     config = root / "config"
-    assert installed == {str(p.relative_to(config)): p.read_text("utf-8") for p in config.rglob("*.yaml")}
+    there = [*config.rglob("*.yaml"), *config.glob("layouts/*")]
+    assert installed == {str(p.relative_to(config)): p.read_text("utf-8") for p in there}
     assert "scenarios/paper.yaml" in installed
 
 
