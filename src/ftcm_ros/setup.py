@@ -36,10 +36,12 @@ setup(
             "drive = ftcm_ros.run.drive:main",
             "fault = ftcm_ros.run.fault:main",
             "replay = ftcm_ros.analysis.replay:main",
+            "watch = ftcm_ros.run.watch:main",
         ],
         "ftcm.commands": [
             "doctor = ftcm_ros.doctor:examine",
             "replay = ftcm_ros.analysis.replay:replay_bags",
+            "watch = ftcm_ros.run.watch:watch",
         ],
     },
 )

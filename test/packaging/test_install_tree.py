@@ -13,8 +13,8 @@ import pytest
 
 from ftcm_ros.parameters.node_parameters import ALL_NODES
 
-EXECUTABLES = {*ALL_NODES, "composed", "experiment", "analyse", "drive", "fault", "replay"}
-COMMANDS = {"doctor", "replay"}
+EXECUTABLES = {*ALL_NODES, "composed", "experiment", "analyse", "drive", "fault", "replay", "watch"}
+COMMANDS = {"doctor", "replay", "watch"}
 """What the package brings to the command `ftcm`."""
 
 

@@ -32,7 +32,7 @@ from ftcm_core.simulation import simulate
 from ftcm_ros.analysis import analyse, replay
 from ftcm_ros.bags.reader import read_bag
 from ftcm_ros.parameters.node_parameters import ALL_NODES, NODES, SETTINGS
-from ftcm_ros.run import drive, experiment, fault
+from ftcm_ros.run import drive, experiment, fault, watch
 from ftcm_ros.run.launching import EXPERIMENT_ARGUMENTS, NODE_ARGUMENTS
 from traces import same
 
@@ -80,6 +80,7 @@ PARSERS = {
     "analyse": analyse.build_parser,
     "replay": replay.build_parser,
     "fault": fault.build_parser,
+    "watch": watch.build_parser,
 }
 ALL_COMMANDS = [
     pytest.param(shlex.split(command), id=command)

@@ -24,6 +24,7 @@ from ftcm_core.cli.output import drop_stdout, fail
 from ftcm_core.cli.replaying import replay_command, replay_options
 from ftcm_core.cli.runs import campaign_command, compare_command, reproduce_command, simulate_command
 from ftcm_core.cli.suites import add_arguments, suite_command
+from ftcm_core.cli.watching import watch_command, watch_options
 from ftcm_core.errors import FtcmError
 from ftcm_core.registry import KINDS, load_plugins
 
@@ -217,6 +218,14 @@ def _parser() -> argparse.ArgumentParser:
         help="of the picture: values other than the defaults, e.g. profile=ramp",
     )  # fmt: skip
     sub.add_argument("--json", action="store_true", help="print one JSON object")
+
+    sub = command(
+        "watch",
+        watch_command,
+        "show a run over the ROS graph that is on, and change nothing of it",
+        "ftcm watch",
+    )
+    watch_options(sub)
 
     sub = command(
         "doctor",

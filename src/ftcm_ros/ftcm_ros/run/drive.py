@@ -25,13 +25,21 @@ from ftcm_core.recording.trace import ENDED_EARLY
 from ftcm_core.registry import load_plugins
 from ftcm_core.scenario import Scenario, load
 from ftcm_ros.parameters.node_parameters import nodes_of
-from ftcm_ros.run.graph_run import CLOSE_SECONDS, MATCHING_ORDER, STOP_SECONDS, Interrupted
+from ftcm_ros.run.graph_run import (
+    BYTES_PER_SECOND,
+    CLOSE_SECONDS,
+    MATCHING_ORDER,
+    STOP_SECONDS,
+    Interrupted,
+)
 from ftcm_ros.run.lifecycle import Managed, drive
 from ftcm_ros.run.progress import Progress, say
 from ftcm_ros.run.watchdog import CHAIN, Watchdog
 from ftcm_ros.transport.joining import join_as
 from ftcm_ros.transport.topics import DIAGNOSTICS
 
+TICK_BYTES = 1000.0
+"""So much of a bag is one tick, at most: 0.9 MB a second at 1 kHz."""
 PATIENCE_SECONDS = 5.0
 """How long a node may be silent, or make no tick, before the run ends, s."""
 
@@ -94,7 +102,8 @@ class Driver:
             self.scenario.controller.type_name, self.scenario.last_tick, self.scenario.dt
         ) as progress:
             self._follow(progress)
-        self._transition("deactivate", ("recorder",), CLOSE_SECONDS)
+        size = self.scenario.last_tick * TICK_BYTES  # which the recorder reads again
+        self._transition("deactivate", ("recorder",), CLOSE_SECONDS + size / BYTES_PER_SECOND)
         with contextlib.suppress(FtcmError):  # what they had to do is done
             self._transition("deactivate", tuple(n for n in CHAIN if n in self.nodes), STOP_SECONDS)
 
