@@ -43,8 +43,8 @@ COARSE_SECONDS = 1e-6
 """A steady clock that tells no less than this is too coarse for a tick of a millisecond, s."""
 DISK_BYTES = 1e9
 """So much free disk is a quarter of an hour of recording at 1 kHz: a bag grows by 0.9 MB a second."""
-SHARED_MEMORY_BYTES = 64e6
-"""What containers have by default, where it is enough: the nodes of a run take some tens of MB (chosen)."""
+SHARED_MEMORY_BYTES = 32e6
+"""So much free shared memory is enough: a run takes less than 10 MB of it (chosen: three at once)."""
 _CAP_IPC_LOCK, _CAP_SYS_NICE = 14, 23
 _IMPORT_SECONDS = 60.0
 
@@ -312,7 +312,7 @@ def shared_memory(folder: Path = Path("/dev/shm")) -> Finding:
         advice = "mount a tmpfs there; until then messages go over UDP"
         return Finding(str(folder), WARNING, "not there", advice)
     value = f"{_size(usage.free)} free of {_size(usage.total)}"
-    if usage.free < SHARED_MEMORY_BYTES / 2:
+    if usage.free < SHARED_MEMORY_BYTES:
         advice = "remove what ended processes left there, or, in a container, give it --shm-size 256m"
         return Finding(str(folder), WARNING, value, advice)
     return Finding(str(folder), OK, value)

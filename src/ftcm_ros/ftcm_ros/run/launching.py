@@ -72,12 +72,13 @@ def shown_default(argument: Setting) -> str:
     return str(argument.default).lower() if isinstance(argument.default, bool) else str(argument.default)
 
 
-def parsed(declared: Setting, text: str, kind: Any) -> Any:
-    """Return what a launch argument's text says, of the kind of a default value.
+def parsed(declared: Setting, text: str) -> Any:
+    """Return what a launch argument's text says, of the kind of its default value.
 
     Raises:
         FtcmError: it is not of that kind, or none of the choices.
     """
+    kind = declared.default
     if isinstance(kind, str):
         return declared.check(text)
     try:
@@ -100,9 +101,13 @@ def experiment(given: Mapping[str, str], folder: Path) -> Launched:
     Raises:
         FtcmError: an argument or the scenario is not valid.
     """
-    values = {a.name: parsed(a, given[a.name], a.default) for a in EXPERIMENT_ARGUMENTS}
+    values = {a.name: parsed(a, given[a.name]) for a in EXPERIMENT_ARGUMENTS}
     load_plugins(name.strip() for name in values["plugins"].split(",") if name.strip())
-    scenario = load(values["scenario"], shlex.split(values["set"]), controller=values["controller"] or None)
+    try:
+        changes = shlex.split(values["set"])
+    except ValueError as error:
+        raise FtcmError(f"set: {values['set']!r}: {error}; expected changes as a shell's words") from None
+    scenario = load(values["scenario"], changes, controller=values["controller"] or None)
     bag = Path(values["bag"] or time.strftime("ftcm-%Y%m%d-%H%M%S")).absolute()
     if bag.exists():
         raise FtcmError(f"bag: {str(bag)!r} exists already; choose another or remove it")
@@ -143,7 +148,7 @@ def single(given: Mapping[str, str]) -> Process:
             continue
         if name not in own:
             raise FtcmError(f"{name}: node {node!r} has no such parameter; it has {', '.join(own)}")
-        values[name] = parsed(own[name], text, own[name].default)
+        values[name] = parsed(own[name], text)
     if given["params_file"] and not Path(given["params_file"]).is_file():
         raise FtcmError(f"params_file: there is no file {given['params_file']!r}")
     files = (given["params_file"],) if given["params_file"] else ()
