@@ -234,7 +234,10 @@ def test_without_nodes_it_says_which_it_has_waited_for(start: Callable[..., subp
     driver = start("run.drive", "paper", "--wait", "0.2")
     _, err = driver.communicate(timeout=HANG_SECONDS)
     assert driver.returncode == 1
-    assert err.strip() == "drive: error: node 'observer' did not configure within 0.2 s; see its output"
+    assert (
+        err.strip()
+        == "drive: error: node 'observer' did not configure, for which it has 0.2 s; see its output"
+    )
 
 
 @pytest.mark.parametrize(

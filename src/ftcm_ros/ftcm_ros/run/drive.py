@@ -97,6 +97,7 @@ class Driver:
             if name in self.nodes:
                 self._transition("configure", (name,))
         self._transition("activate", tuple(n for n in self.nodes if n != "plant"))
+        self.health.clear()  # what is said of a run before
         self._transition("activate", ("plant",))
         with Progress(
             self.scenario.controller.type_name, self.scenario.last_tick, self.scenario.dt
@@ -111,7 +112,7 @@ class Driver:
         wait = self.options.wait if seconds is None else seconds
         failed = drive([self._managed[n] for n in nodes], name, self._spin, wait)
         if failed:
-            raise FtcmError(f"node {failed!r} did not {name} within {wait:g} s; see its output")
+            raise FtcmError(f"node {failed!r} did not {name}, for which it has {wait:g} s; see its output")
 
     def _spin(self) -> None:
         rclpy.spin_once(self.node, timeout_sec=0.05)

@@ -113,7 +113,8 @@ class Watch:
     def _on_fault(self, message: Any) -> None:
         for status in message.status:
             values = {v.key: v.value for v in status.values}
-            self.view.hear_fault(status.name, float(values["onset"]), float(values["end"]))
+            if {"onset", "end"} <= values.keys():
+                self.view.hear_fault(status.name, float(values["onset"]), float(values["end"]))
 
     def _taker(self, topic: Topic) -> Callable[[Any], None]:
         def hear(message: Any) -> None:
