@@ -99,10 +99,10 @@ lint: test-env ## Check style, format and types
 	    python -m ruff format --check --output-format concise . && python -m mypy
 
 .PHONY: docs
-docs: build ## Write what is generated: reference pages and pictures in docs/, the SROS2 policy
+docs: build ## Write what is generated: reference pages and pictures in docs/, the SROS2 policy, layouts
 	@$(call source,.venv,); python tools/reference_page.py docs/ && python tools/topics_page.py docs/ && \
 	    python tools/faults_page.py docs/ && \
-	    python tools/sros_policy.py config/security/
+	    python tools/sros_policy.py config/security/ && python tools/layouts.py config/layouts/
 
 .PHONY: bench
 bench: test-env build ## Measure rates, latencies, real time and the core into docs/measured.md; minutes, on an idle machine

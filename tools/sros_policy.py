@@ -11,6 +11,7 @@ from xml.etree import ElementTree
 
 from ftcm_ros.parameters.node_parameters import ALL_NODES
 from ftcm_ros.run.local_nodes import COMPOSED
+from ftcm_ros.run.view import SHOWN, WATCHED
 from ftcm_ros.transport.topics import DIAGNOSTICS, TOPICS
 from topics_page import write_or_check
 
@@ -37,6 +38,8 @@ NODE_TOPICS = ("/parameter_events", "/rosout")
 """Topics that every node publishes."""
 CONDUCTOR = "experiment"
 """The ordinary node that drives the others."""
+VIEWER = "watch"
+"""The ordinary node that looks at the others."""
 DRIVEN = ("change_state", "get_state")
 """Services of the nodes that it calls."""
 
@@ -45,7 +48,7 @@ def rules(name: str) -> dict[tuple[str, str], list[str]]:
     """Return what a process of the suite may do.
 
     Args:
-        name: one of the nodes, or ``experiment``.
+        name: one of the nodes, ``experiment`` or ``watch``.
 
     Returns:
         Absolute names by ``("topics", "publish")``, ``("topics", "subscribe")``, ``("services", "reply")``
@@ -56,6 +59,8 @@ def rules(name: str) -> dict[tuple[str, str], list[str]]:
     if name == CONDUCTOR:
         subscribe.add(DIAGNOSTICS.name)
         request = {f"/{node}/{service}" for node in ALL_NODES for service in DRIVEN}
+    elif name == VIEWER:
+        subscribe = {_absolute(topic.name) for topic in (*WATCHED, *SHOWN)}
     else:
         publish |= {f"/{name}/transition_event", *(_absolute(t.name) for t in TOPICS if name in t.publishers)}
         subscribe = {_absolute(t.name) for t in TOPICS if name in t.subscribers}
@@ -72,7 +77,7 @@ def rules(name: str) -> dict[tuple[str, str], list[str]]:
 
 def processes() -> dict[str, tuple[str, ...]]:
     """Return the nodes of each process that there may be."""
-    alone = {name: (name,) for name in (*ALL_NODES, CONDUCTOR)}
+    alone = {name: (name,) for name in (*ALL_NODES, CONDUCTOR, VIEWER)}
     return {**alone, COMPOSED: tuple(name for name in ALL_NODES if name != "recorder")}
 
 

@@ -14,6 +14,7 @@ setup(
     data_files=[
         ("share/ament_index/resource_index/packages", ["resource/ftcm_ros"]),
         ("share/ftcm_ros", ["package.xml"]),
+        ("share/ftcm_ros/launch", ["launch/experiment.launch.py", "launch/node.launch.py"]),
     ],
     package_data={"ftcm_ros.transport": ["fastdds.xml"]},
     zip_safe=False,
@@ -32,9 +33,15 @@ setup(
             "composed = ftcm_ros.nodes.composed:main",
             "experiment = ftcm_ros.run.experiment:main",
             "analyse = ftcm_ros.analysis.analyse:main",
+            "drive = ftcm_ros.run.drive:main",
             "fault = ftcm_ros.run.fault:main",
             "replay = ftcm_ros.analysis.replay:main",
+            "watch = ftcm_ros.run.watch:main",
         ],
-        "ftcm.commands": ["replay = ftcm_ros.analysis.replay:replay_bags"],
+        "ftcm.commands": [
+            "doctor = ftcm_ros.doctor:examine",
+            "replay = ftcm_ros.analysis.replay:replay_bags",
+            "watch = ftcm_ros.run.watch:watch",
+        ],
     },
 )

@@ -13,7 +13,9 @@ import pytest
 
 from ftcm_ros.parameters.node_parameters import ALL_NODES
 
-EXECUTABLES = {*ALL_NODES, "composed", "experiment", "analyse", "fault", "replay"}
+EXECUTABLES = {*ALL_NODES, "composed", "experiment", "analyse", "drive", "fault", "replay", "watch"}
+COMMANDS = {"doctor", "replay", "watch"}
+"""What the package brings to the command `ftcm`."""
 
 
 def prefix_of(package):
@@ -45,6 +47,13 @@ def test_ros2_run_finds_every_executable():
     assert found == EXECUTABLES
 
 
+def test_ros2_launch_finds_every_launch_file(root):
+    installed = prefix_of("ftcm_ros") / "share" / "ftcm_ros" / "launch"
+    files = {path.name: path.read_text("utf-8") for path in (root / "src/ftcm_ros/launch").glob("*.py")}
+    assert {path.name: path.read_text("utf-8") for path in installed.glob("*.py")} == files
+    assert {*files} == {"experiment.launch.py", "node.launch.py"}
+
+
 def test_ftcm_is_a_command_once_the_workspace_is_sourced(tmp_path):
     prefix = prefix_of("ftcm_core")
     local = prefix.parent / "setup.bash"
@@ -66,12 +75,14 @@ def test_config_files_are_installed_as_they_are_in_the_workspace(root, tmp_path)
 import importlib.resources, json, pathlib
 config = importlib.resources.files("ftcm_core") / "config"
 with importlib.resources.as_file(config) as folder:
-    files = {str(p.relative_to(folder)): p.read_text("utf-8") for p in sorted(folder.rglob("*.yaml"))}
+    files = {str(p.relative_to(folder)): p.read_text("utf-8") for pattern in ("*.yaml", "layouts/*")
+             for p in sorted(folder.rglob(pattern))}
 print(json.dumps(files))
 """
     installed = run_installed(code, tmp_path)
     config = root / "config"
-    assert installed == {str(p.relative_to(config)): p.read_text("utf-8") for p in config.rglob("*.yaml")}
+    there = [*config.rglob("*.yaml"), *config.glob("layouts/*")]
+    assert installed == {str(p.relative_to(config)): p.read_text("utf-8") for p in there}
     assert "scenarios/paper.yaml" in installed
 
 
@@ -100,7 +111,7 @@ import importlib.metadata, json
 points = importlib.metadata.distribution({package!r}).entry_points
 print(json.dumps([p.name for p in points if callable(p.load())]))
 """
-    expected = {"ftcm"} if package == "ftcm_core" else EXECUTABLES
+    expected = {"ftcm"} if package == "ftcm_core" else EXECUTABLES | COMMANDS
     assert set(run_installed(code, tmp_path)) == expected
 
 

@@ -32,7 +32,8 @@ from ftcm_core.simulation import simulate
 from ftcm_ros.analysis import analyse, replay
 from ftcm_ros.bags.reader import read_bag
 from ftcm_ros.parameters.node_parameters import ALL_NODES, NODES, SETTINGS
-from ftcm_ros.run import experiment, fault
+from ftcm_ros.run import drive, experiment, fault, watch
+from ftcm_ros.run.launching import EXPERIMENT_ARGUMENTS, NODE_ARGUMENTS
 from traces import same
 
 pytestmark = pytest.mark.ros
@@ -72,11 +73,14 @@ def commands_in_the_text(page: Path) -> list[str]:
     return re.findall(r"`(ros2 [^`]+)`", BLOCK.sub("", page.read_text("utf-8")))
 
 
+LAUNCH_FILES = {"experiment.launch.py": EXPERIMENT_ARGUMENTS, "node.launch.py": NODE_ARGUMENTS}
 PARSERS = {
+    "drive": drive.build_parser,
     "experiment": experiment.build_parser,
     "analyse": analyse.build_parser,
     "replay": replay.build_parser,
     "fault": fault.build_parser,
+    "watch": watch.build_parser,
 }
 ALL_COMMANDS = [
     pytest.param(shlex.split(command), id=command)
@@ -115,6 +119,11 @@ def test_a_command_of_the_pages_names_what_there_is(command: list[str]) -> None:
         node = rest[1].removeprefix("/")
         assert node in ALL_NODES
         assert verb == "lifecycle" or rest[2] in parameters_of(node)
+    elif verb == "launch":
+        package, file, *arguments = rest
+        assert package == "ftcm_ros"
+        given = [argument.partition(":=")[0] for argument in arguments if argument != "-s"]
+        assert {*given} <= {argument.name for argument in LAUNCH_FILES[file]}
     elif verb == "service":
         (called, name, kind) = rest
         assert (called, kind) == ("call", "std_srvs/srv/Trigger")

@@ -3,7 +3,7 @@
 
 Results go to stdout, warnings, progress and errors to stderr. Exit status: 0 done (a run that diverges is a
 result), 1 the machine failed (disk, memory) or a replay differs, 2 a mistake in what was asked, 130
-interrupted.
+interrupted; ``doctor`` says 1 where no run is possible.
 """
 
 from __future__ import annotations
@@ -19,11 +19,13 @@ import ftcm_core
 from ftcm_core import campaign
 from ftcm_core.cli.calibration import calibrate_command
 from ftcm_core.cli.detectable import detectable_command, detectable_options
+from ftcm_core.cli.doctor import doctor_command
 from ftcm_core.cli.listing import describe_command, list_command
 from ftcm_core.cli.output import drop_stdout, fail
 from ftcm_core.cli.replaying import replay_command, replay_options
 from ftcm_core.cli.runs import campaign_command, compare_command, reproduce_command, simulate_command
 from ftcm_core.cli.suites import add_arguments, suite_command
+from ftcm_core.cli.watching import watch_command, watch_options
 from ftcm_core.errors import FtcmError
 from ftcm_core.registry import KINDS, load_plugins
 
@@ -225,4 +227,20 @@ def _parser() -> argparse.ArgumentParser:
         help="of the picture: values other than the defaults, e.g. profile=ramp",
     )  # fmt: skip
     sub.add_argument("--json", action="store_true", help="print one JSON object")
+
+    sub = command(
+        "watch",
+        watch_command,
+        "show a run over the ROS graph that is on, and change nothing of it",
+        "ftcm watch",
+    )
+    watch_options(sub)
+
+    sub = command(
+        "doctor",
+        doctor_command,
+        "say what this machine has and what is missing; exit status 1 if no run is possible",
+        "ftcm doctor",
+    )
+    sub.add_argument("--json", action="store_true", help="print the findings as one JSON list")
     return parser

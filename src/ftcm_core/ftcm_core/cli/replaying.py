@@ -4,13 +4,10 @@
 from __future__ import annotations
 
 import argparse
-from importlib import metadata
 from pathlib import Path
 
+from ftcm_core.cli.brought import brought
 from ftcm_core.errors import FtcmError
-
-GROUP = "ftcm.commands"
-"""Entry points of commands that other packages bring: functions of the parsed options."""
 
 
 def replay_options(parser: argparse.ArgumentParser) -> None:
@@ -26,14 +23,10 @@ def replay_options(parser: argparse.ArgumentParser) -> None:
 
 def replay_command(arguments: argparse.Namespace) -> int:
     """Run recorded runs again and compare."""
-    found = [point for point in metadata.entry_points(group=GROUP) if point.name == "replay"]
-    if not found:
+    function = brought("replay")
+    if function is None:
         raise FtcmError(
             "replay reads bags, which needs the package ftcm_ros; source the workspace in which it is built"
         )
-    try:
-        function = found[0].load()
-    except ImportError as error:
-        raise FtcmError(f"replay: the package ftcm_ros cannot be imported: {error}") from None
     status: int = function(arguments)
     return status

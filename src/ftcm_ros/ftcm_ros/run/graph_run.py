@@ -18,7 +18,6 @@ from diagnostic_msgs.msg import DiagnosticArray
 
 from ftcm_core.errors import FtcmError
 from ftcm_core.recording.trace import ENDED_EARLY
-from ftcm_core.registry import plugins
 from ftcm_core.scenario import Scenario
 from ftcm_ros.analysis.timing import by_process
 from ftcm_ros.parameters.node_parameters import nodes_of
@@ -26,6 +25,7 @@ from ftcm_ros.run.external_nodes import AmbientDomain, ExternalNodes
 from ftcm_ros.run.lifecycle import Managed, drive
 from ftcm_ros.run.local_nodes import LocalNodes
 from ftcm_ros.run.progress import Progress, say
+from ftcm_ros.run.run_parameters import run_parameters
 from ftcm_ros.run.verdict import verdict
 from ftcm_ros.run.watchdog import CHAIN, Watchdog
 from ftcm_ros.transport.domain import Domain
@@ -43,8 +43,6 @@ REPORT_SECONDS = 1.0
 """How long the nodes' last reports may take to come, s."""
 MATCHING_ORDER = ("observer", "controller", "injector", "plant", "detector", "recorder")
 """Order of configuration: that of the tick, so that each message reaches first who acts on it next."""
-RECORDER_WINDOW = 1000
-"""Ticks the plant may run ahead of the recorder in lockstep."""
 
 
 def composed(options: argparse.Namespace) -> bool:
@@ -137,31 +135,11 @@ class Run:
         scenario_file = self.logs / "scenario.yaml"
         scenario_file.parent.mkdir(parents=True, exist_ok=True)
         scenario_file.write_text(self.scenario.to_yaml(), encoding="utf-8")
-        common = {
-            "scenario": str(scenario_file.resolve()),
-            "plugins": ",".join(plugins()),
-            "autostart": False,
-            "await_graph": True,
-            "data_path": self.options.data_path,
-            "priority": self.options.priority,
-            "lock_memory": self.options.lock_memory,
-            "processors": self.options.processors,
-        }
-        stages = {n: {"stages": self.options.stages} for n in self.nodes if n != "recorder"}
-        awaits = {"await_detection": self.options.mode == "lockstep"}
-        extra: dict[str, dict[str, Any]] = {
-            "observer": awaits,
-            "controller": awaits,
-            "plant": {"mode": self.options.mode, "recorder_window": RECORDER_WINDOW},
-            "recorder": {
-                "bag": str(self.bag.resolve()),
-                "storage": self.options.storage,
-                "priority": 0,  # it is not in the tick, and must not take the processor from those that are
-            },
-        }
+        names = ("mode", "stages", "data_path", "priority", "lock_memory", "processors", "storage")
+        values = {name: getattr(self.options, name) for name in names}
+        parameters = run_parameters(self.scenario, scenario_file, self.bag, values)
         self.bag.parent.mkdir(parents=True, exist_ok=True)
         together = tuple(n for n in self.nodes if n != "recorder") if composed(self.options) else ()
-        parameters = {n: {**common, **stages.get(n, {}), **extra.get(n, {})} for n in self.nodes}
         self.processes.start(parameters, together)
         for name in MATCHING_ORDER:
             if name in self.nodes:

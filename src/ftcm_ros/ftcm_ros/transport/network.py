@@ -27,11 +27,7 @@ def require_middleware() -> None:
     Raises:
         SystemExit: it is not there.
     """
-    wanted = os.environ.get("RMW_IMPLEMENTATION")
-    prefixes = [*filter(None, os.environ.get("AMENT_PREFIX_PATH", "").split(os.pathsep)), sys.prefix]
-    index = [Path(prefix, "share", "ament_index", "resource_index", "rmw_typesupport") for prefix in prefixes]
-    there = {file.name for folder in index if folder.is_dir() for file in folder.iterdir()}
-    there.discard("rmw_implementation")
+    wanted, there = os.environ.get("RMW_IMPLEMENTATION"), middlewares()
     if wanted and there and wanted not in there:
         print(
             f"ftcm_ros: error: RMW_IMPLEMENTATION={wanted}: no such middleware here; there is "
@@ -39,6 +35,14 @@ def require_middleware() -> None:
             file=sys.stderr,
         )
         raise SystemExit(2)
+
+
+def middlewares() -> set[str]:
+    """Return the names of the middlewares that are installed, as the index of packages tells them."""
+    prefixes = [*filter(None, os.environ.get("AMENT_PREFIX_PATH", "").split(os.pathsep)), sys.prefix]
+    index = [Path(prefix, "share", "ament_index", "resource_index", "rmw_typesupport") for prefix in prefixes]
+    there = {file.name for folder in index if folder.is_dir() for file in folder.iterdir()}
+    return there - {"rmw_implementation"}
 
 
 def secured() -> bool:

@@ -1,0 +1,291 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What ``watch`` shows of a run that is on: from what has been heard, text. No ROS."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from typing import NamedTuple
+
+from ftcm_core.detectors import VERDICTS
+from ftcm_core.faults.timing import NEVER
+from ftcm_core.signals import seconds
+from ftcm_ros.parameters.node_parameters import ALL_NODES
+from ftcm_ros.transport.topics import (
+    CHANGES,
+    DETECTION,
+    DIAGNOSTICS,
+    DISTURBANCE,
+    ESTIMATE,
+    FAULTS,
+    JOINT_STATES,
+    REFERENCE,
+    TORQUES,
+)
+
+SILENT_SECONDS = 2.5
+"""A node that has said nothing for so long is silent: it reports once a second, s."""
+LEVELS = ("ok", "warn", "error", "stale")
+"""Of diagnostics, by their number."""
+SHOWN = (JOINT_STATES, REFERENCE, TORQUES, ESTIMATE, DISTURBANCE, DETECTION)
+"""Data topics of which the newest message is shown."""
+WATCHED = (DIAGNOSTICS, CHANGES, FAULTS)
+"""What else is listened to."""
+KEPT = 20
+"""Messages of a topic that are kept, to find one of the same tick in another."""
+
+
+class Sample(NamedTuple):
+    """A JointState: joints by name, and the arrays that it has."""
+
+    names: tuple[str, ...]
+    position: tuple[float, ...]
+    velocity: tuple[float, ...]
+    effort: tuple[float, ...]
+
+    def of(self, array: str, joint: str) -> float:
+        """Value of a joint; not-a-number where there is none."""
+        values = getattr(self, array)
+        if joint not in self.names or len(values) != len(self.names):
+            return math.nan
+        return float(values[self.names.index(joint)])
+
+
+class Health(NamedTuple):
+    """What a node has reported last."""
+
+    level: int
+    message: str
+    values: Mapping[str, str]
+    heard: float
+    """Steady time, s."""
+
+
+class View:
+    """What has been heard of a run, and how it is shown."""
+
+    def __init__(self) -> None:
+        """Nothing yet."""
+        self.health: dict[str, Health] = {}
+        self.forget()
+
+    def forget(self) -> None:
+        """Forget the run, not the nodes: another begins, or none."""
+        self._samples: dict[str, dict[int, Sample]] = {}
+        self._faults: dict[str, tuple[float, float]] = {}
+        self._components: dict[str, str] = {}
+
+    # What is heard.
+
+    def hear_health(self, node: str, level: int, message: str, values: Mapping[str, str], now: float) -> None:
+        """Take in a report of a node; one of another process is of another run."""
+        before = self.health.get(node)
+        if node == "plant" and before and before.values.get("process") != values.get("process"):
+            self.forget()
+        if node in ALL_NODES:
+            self.health[node] = Health(level, message, values, now)
+
+    def hear_sample(self, topic: str, time_ns: int, sample: Sample) -> None:
+        """Take in a message of a data topic; one of an earlier time is of another run."""
+        kept = self._samples.setdefault(topic, {})
+        if kept and time_ns < min(kept):
+            kept.clear()
+        kept[time_ns] = sample
+        while len(kept) > KEPT:
+            del kept[min(kept)]
+
+    def hear_fault(self, label: str, onset: float, end: float) -> None:
+        """Take in from when to when a fault acts, s."""
+        self._faults[label] = onset, end
+
+    def hear_component(self, kind: str, name: str) -> None:
+        """Take in which component is in force."""
+        self._components[kind] = name
+
+    # What is known.
+
+    def silent(self, node: str, now: float) -> bool:
+        """Whether a node has ceased to report."""
+        return now - self.health[node].heard > SILENT_SECONDS
+
+    def running(self, now: float) -> bool:
+        """Whether a run is on, as the plant says."""
+        plant = self.health.get("plant")
+        return plant is not None and plant.values.get("state") == "running" and not self.silent("plant", now)
+
+    @property
+    def time(self) -> float | None:
+        """Time of the run, of the newest message or report, s; None if nothing says it."""
+        newest = [max(kept) for kept in self._samples.values() if kept]
+        return seconds(max(newest)) if newest else None
+
+    @property
+    def joints(self) -> tuple[str, ...]:
+        """Names of the joints."""
+        kept = self._samples.get(JOINT_STATES.name)
+        return kept[max(kept)].names if kept else ()
+
+    def newest(self, topic: str, array: str, joint: str) -> float:
+        """Newest value of a joint; not-a-number if there is none."""
+        kept = self._samples.get(topic)
+        return kept[max(kept)].of(array, joint) if kept else math.nan
+
+    def error(self, joint: str) -> float:
+        """Measured less desired position in the newest tick of which both are there, rad."""
+        measured, desired = (self._samples.get(t.name, {}) for t in (JOINT_STATES, REFERENCE))
+        both = measured.keys() & desired.keys()
+        if not both:
+            return math.nan
+        tick = max(both)
+        return measured[tick].of("position", joint) - desired[tick].of("position", joint)
+
+    def acting(self) -> list[str]:
+        """Faults that act now, and since when; until then, when they will."""
+        now = self.time
+        said = []
+        for label, (onset, end) in sorted(self._faults.items()):
+            if onset >= NEVER:
+                said.append(f"{label} waits")
+            elif now is None or now <= onset:
+                said.append(f"{label} from t = {onset:g} s")
+            elif now < end:
+                said.append(
+                    f"{label} ACTS since t = {onset:g} s" + ("" if end >= NEVER else f", to {end:g} s")
+                )
+            else:
+                said.append(f"{label} is over since t = {end:g} s")
+        return said
+
+    def alarms(self) -> dict[str, str]:
+        """Joints with an alarm, and what the detector says of them."""
+        found = {}
+        for joint in self.joints:
+            alarm, verdict = (self.newest(DETECTION.name, a, joint) for a in ("position", "velocity"))
+            if alarm > 0.0:
+                known = 0.0 <= verdict < len(VERDICTS)
+                found[joint] = VERDICTS[int(verdict)].replace("_", " ") if known else "?"
+        return found
+
+    # How it is shown.
+
+    def screen(self, now: float, where: str) -> str:
+        """Return everything, for a screen.
+
+        Args:
+            now: steady time, s.
+            where: the domain, in words.
+        """
+        lines = [self._heading(where), "", *self._nodes(now)]
+        if self.joints:
+            lines += ["", *self._joints()]
+        if acting := self.acting():
+            lines += ["", "faults: " + "; ".join(acting)]
+        return "\n".join(lines)
+
+    def _heading(self, where: str) -> str:
+        plant = self.health.get("plant")
+        values = plant.values if plant else {}
+        words = ["ftcm watch", where, values.get("mode", "")]
+        words += [f"{kind} {name}" for kind, name in sorted(self._components.items())]
+        if self.time is not None:
+            words.append(f"t = {self.time:.3f} s")
+        if "last_tick" in values:
+            words.append(f"tick {values.get('tick', '?')} of {values['last_tick']}")
+        return "  ".join(filter(None, words))
+
+    def _nodes(self, now: float) -> list[str]:
+        rows = [("node", "level", "rate Hz", "ticks", "missed", "refused", "says")]
+        for node in ALL_NODES:
+            if node not in self.health:
+                continue
+            level, message, values, heard = self.health[node]
+            named = LEVELS[level] if level < len(LEVELS) else str(level)
+            if self.silent(node, now):
+                named, message = "silent", f"for {now - heard:.0f} s; before: {message}"
+            missed = values.get("missed_deadlines", values.get("gaps", ""))
+            rows.append(
+                (
+                    node,
+                    named,
+                    values.get("rate_hz", ""),
+                    values.get("ticks", ""),
+                    missed,
+                    values.get("refused", ""),
+                    message,
+                )
+            )
+        if len(rows) == 1:
+            return ["no node of the suite says anything yet"]
+        return _aligned(rows, left=(0, 1, 6))
+
+    def _joints(self) -> list[str]:
+        rows = [
+            (
+                "joint",
+                "error rad",
+                "command N·m",
+                "drive N·m",
+                "disturbance",
+                "-estimate",
+                "residual",
+                "alarm",
+            )
+        ]
+        alarms = self.alarms()
+        for joint in self.joints:
+            rows.append(
+                (
+                    joint,
+                    _number(self.error(joint)),
+                    _number(self.newest(TORQUES.name, "effort", joint)),
+                    _number(self.newest(JOINT_STATES.name, "effort", joint)),
+                    _number(self.newest(DISTURBANCE.name, "effort", joint)),
+                    _number(-self.newest(ESTIMATE.name, "effort", joint)),
+                    _number(self.newest(DETECTION.name, "effort", joint)),
+                    alarms.get(joint, ""),
+                )
+            )
+        return _aligned(rows, left=(0, 7))
+
+    def line(self, now: float) -> str:
+        """Return the same in one line."""
+        plant = self.health.get("plant")
+        if plant is None:
+            return f"{', '.join(self.health)} up; no plant" if self.health else "no node says anything yet"
+        said = [plant.message]
+        if self.time is not None:
+            said.insert(0, f"t = {self.time:.3f} s")
+        said += [
+            f"{plant.values.get('rate_hz', '?')} Hz",
+            f"missed {plant.values.get('missed_deadlines', '?')}",
+        ]
+        errors = [_number(self.error(joint)) for joint in self.joints]
+        torques = [_number(self.newest(TORQUES.name, "effort", joint)) for joint in self.joints]
+        for name, numbers, unit in (("e", errors, "rad"), ("u", torques, "N·m")):
+            if any(numbers):
+                said.append(f"{name} {' '.join(numbers)} {unit}")
+        said += [one for one in self.acting() if "ACTS" in one]
+        said += [f"ALARM {joint}: {verdict}" for joint, verdict in self.alarms().items()]
+        for node, report in self.health.items():
+            if self.silent(node, now):
+                said.append(f"{node} SILENT for {now - report.heard:.0f} s")
+            elif report.level > 0 and node != "plant":
+                said.append(f"{node}: {report.message}")
+        return "; ".join(said)
+
+
+def _number(value: float) -> str:
+    """Four digits; nothing for not-a-number."""
+    return "" if math.isnan(value) else f"{value:.4g}"
+
+
+def _aligned(rows: Sequence[tuple[str, ...]], left: Sequence[int]) -> list[str]:
+    """Lines of a table: text on the left, numbers on the right."""
+    widths = [max(len(row[k]) for row in rows) for k in range(len(rows[0]))]
+    return [
+        "  ".join(
+            cell.ljust(width) if k in left else cell.rjust(width)
+            for k, (cell, width) in enumerate(zip(row, widths))
+        ).rstrip()
+        for row in rows
+    ]
