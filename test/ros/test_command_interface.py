@@ -284,6 +284,7 @@ def test_a_dry_run_computes_and_publishes_no_command(start: Start, robot: Robot,
 
 
 @ros
+@pytest.mark.slow
 def test_a_dead_publisher_stops_the_controller_until_it_is_activated_again(
     start: Start, robot: Robot, tmp_path: Path
 ) -> None:
@@ -340,6 +341,7 @@ def test_deactivation_leads_to_the_last_torque_by_steps(start: Start, robot: Rob
 
 
 @ros
+@pytest.mark.slow
 def test_a_trajectory_is_followed_and_a_bad_one_changes_nothing(
     start: Start, robot: Robot, tmp_path: Path
 ) -> None:
