@@ -27,7 +27,7 @@ ASK_AGAIN_SECONDS = 1.0
 
 def order_of(names: tuple[str, ...]) -> list[str]:
     """Joints in the order of this robot's messages: the last one first."""
-    return [*names[::-1]]
+    return [names[-1], *names[:-1]]
 
 
 def main(scenario_file: str, ticks: int, record: str) -> None:
