@@ -22,9 +22,10 @@ Generated from the declarations by `python tools/topics_page.py docs/`; do not e
 ## Topics
 
 Every topic is reliable; latched topics are transient local. Stamps of the data topics are the time of
-the tick, t_k = k·dt from zero, in lockstep and in real time; the time a message was published is in
-the bag. Torques are joint torques in N·m; `position`, `velocity` and `effort` are the arrays of
-`sensor_msgs/JointState`, joints by name in any order.
+the tick, t_k = k·dt from zero, in lockstep and in real time; with `stamps: free` they are those of the
+measurement ([hardware](hardware.md)). The time a message was published is in the bag. Torques are joint
+torques in N·m; `position`, `velocity` and `effort` are the arrays of `sensor_msgs/JointState`, joints by
+name in any order.
 """
 _PARAMETERS = """
 ## Node parameters
@@ -42,7 +43,7 @@ def page() -> str:
     for t in TOPICS:
         latched = " (latched)" if t.latched else ""
         lines.append(
-            f"| `{t.name}` | `{t.type}` | {t.depth} | {', '.join(t.publishers)} "
+            f"| `{t.name}` | `{t.type}` | {t.depth} | {', '.join(t.publishers) or '–'} "
             f"| {', '.join(t.subscribers) or '–'} | {t.content}{latched} |"
         )
     lines.append(_PARAMETERS)

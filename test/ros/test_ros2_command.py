@@ -127,7 +127,7 @@ def test_a_command_of_the_pages_names_what_there_is(command: list[str]) -> None:
     elif verb == "service":
         (called, name, kind) = rest
         assert (called, kind) == ("call", "std_srvs/srv/Trigger")
-        assert re.fullmatch(r"/injector/faults/\w+_\d+/(arm|clear)", name)
+        assert re.fullmatch(r"/(injector|plant)/faults/\w+_\d+/(arm|clear)", name)
     else:
         assert verb in ("topic", "param", "bag", "security")
 

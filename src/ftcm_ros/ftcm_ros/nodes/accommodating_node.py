@@ -5,6 +5,7 @@ from __future__ import annotations
 
 from typing import Any
 
+from ftcm_core.errors import FtcmError
 from ftcm_core.signals import Detection, Measurement
 from ftcm_core.simulation.accommodation import Accommodation
 from ftcm_ros.nodes.component_node import ComponentNode, decision_message
@@ -23,10 +24,17 @@ class AccommodatingNode(ComponentNode):
     """Whether this node tells what was decided: one of the two does."""
 
     def __init__(self, kind: str, composition: Composition | None = None) -> None:
-        """As of :class:`~ftcm_ros.nodes.component_node.ComponentNode`."""
+        """As of :class:`~ftcm_ros.nodes.component_node.ComponentNode`.
+
+        Raises:
+            FtcmError: besides, there are policies and no stamps by which they tell the ticks.
+        """
         super().__init__(kind, composition)
+        self.count_ticks()
+        if self.free is not None and self.scenario.policies:
+            raise FtcmError("stamps: free is not possible with policies; leave them out of the scenario")
         self.accommodation: Accommodation | None = None
-        self._awaits = bool(self.setting("await_detection") and self.scenario.policies)
+        self._awaits = bool(self.setting("await_detection")) and bool(self.scenario.policies)
         self._tell_decision = self.plane.publisher(CHANGES) if self.tells else None
 
     def listen(self, needs: dict[Topic, tuple[str, ...]]) -> None:

@@ -82,7 +82,7 @@ class ComponentNode(ReactiveNode):
         """Tell which component gave this tick's output, if it is not the one of the tick before."""
         if component is not self._announced:
             step = tuple([new - old for new, old in zip(output, self._output)])
-            tick = time_ns // self.scenario.dt_ns
+            tick = self.run_ns // self.scenario.dt_ns
             self._announce(change_message(self.kind, component, time_ns, tick, step, self.changed_by))
             if self._announced is not None:
                 self.get_logger().info(

@@ -29,6 +29,7 @@ class DetectorNode(ComponentNode):
             FtcmError: the scenario has no detector.
         """
         super().__init__("detector", composition)
+        self.count_ticks()
         self.listen(
             {JOINT_STATES: ("position", "velocity", "effort"), ESTIMATE: ("effort",), TORQUES: ("effort",)}
         )
@@ -68,7 +69,7 @@ class DetectorNode(ComponentNode):
                 self.elapsed,
             )
         except (ArithmeticError, ValueError) as error:  # driven out of its domain
-            self.get_logger().error(f"tick {time_ns // self.scenario.dt_ns}: {error}")
+            self.get_logger().error(f"tick {self.run_ns // self.scenario.dt_ns}: {error}")
             found = Detection((math.nan,) * len(self._zeros), self._zeros)
         self.alarms += any(found.alarm)
         self.last = found

@@ -29,23 +29,25 @@ ACTIONS = ("arm", "clear")
 class FaultDesk:
     """The faults at a node's place."""
 
-    def __init__(self, node: SuiteNode, next_tick: Callable[[], int]) -> None:
+    def __init__(self, node: SuiteNode, next_tick: Callable[[], int], places: tuple[str, ...] = ()) -> None:
         """Subscribe to orders, where there may be any.
 
         Args:
             node: whose faults they are; its ``stage`` has them.
             next_tick: number of the tick that the next step of the stage is.
+            places: nodes at whose places they act; none: this one's.
         """
         self._node: Any = node
         self._next_tick = next_tick
         scenario = node.scenario
-        self.mine = faults_at(scenario, node.name_in_suite)
+        places = places or (node.name_in_suite,)
+        self.mine = tuple(n for place in places for n in faults_at(scenario, place))
         self._labels = scenario.fault_labels
         self._known: dict[int, tuple[float, float]] = {}
         waiting = any(scenario.faults[n].trigger == "condition" for n in self.mine)
         self._look_ns = 0 if waiting else NEVER
         self._publish = node.plane.publisher(FAULTS) if self.mine else None
-        if node.name_in_suite != "injector" and any(scenario.faults[n].by_hand for n in self.mine):
+        if "injector" not in places and any(scenario.faults[n].by_hand for n in self.mine):
             # Not by the data plane: its readers must not be waited for by who publishes.
             node.create_subscription(String, FAULT_ORDERS.name, self._on_order, qos(FAULT_ORDERS))
 
@@ -91,7 +93,10 @@ class FaultDesk:
 
 
 class FaultServices:
-    """The injector's services: ``~/faults/list``, and ``~/faults/LABEL/arm`` and ``clear`` of every fault."""
+    """Services ``~/faults/list``, and ``~/faults/LABEL/arm`` and ``clear`` of every fault.
+
+    The injector has them, or the plant where it adds the disturbances itself.
+    """
 
     def __init__(self, node: SuiteNode, desk: FaultDesk) -> None:
         """Offer them for the faults of the scenario."""

@@ -40,7 +40,7 @@ class ObserverNode(AccommodatingNode):
         try:
             tau_hat = self.stage.step(self.accommodated(time_ns, values), self.elapsed)
         except (ArithmeticError, ValueError) as error:  # driven out of its domain: the run has diverged
-            self.get_logger().error(f"tick {time_ns // self.scenario.dt_ns}: {error}")
+            self.get_logger().error(f"tick {self.run_ns // self.scenario.dt_ns}: {error}")
             tau_hat = (math.nan,) * self.scenario.robot.joints
         self.announce(time_ns, self.stage.observer, tau_hat)
         return [(self._estimate.send, self._estimate.ready(time_ns, tau_hat))]

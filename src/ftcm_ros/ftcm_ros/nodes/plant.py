@@ -8,6 +8,8 @@ A tick, in lockstep and in real time, in the order of the methods below:
    that is ahead of the deadline.
 3. ``_end_tick``, when the pacer says so: if they have not come, the robot moves with the newest there are,
    and the miss is counted. Then the next tick begins.
+
+Where it stands in for a robot (``command_interface``), the newest command acts at the end of each tick.
 """
 
 from __future__ import annotations
@@ -16,6 +18,7 @@ import sys
 import time
 from collections.abc import Callable
 from dataclasses import asdict
+from math import isfinite
 from typing import Any
 
 from builtin_interfaces.msg import Time
@@ -26,16 +29,19 @@ from ftcm_core.errors import FtcmError
 from ftcm_core.recording.trace import ENDED_EARLY
 from ftcm_core.signals import NANOSECONDS, TrueDisturbance, Vector, seconds
 from ftcm_core.simulation.stages import PlantStage
-from ftcm_ros.nodes.fault_desk import FaultDesk
+from ftcm_ros.nodes.fault_desk import FaultDesk, FaultServices
 from ftcm_ros.nodes.main import run
+from ftcm_ros.nodes.stand_in import StandIn
 from ftcm_ros.nodes.suite_node import POLL_NS, SuiteNode
 from ftcm_ros.timing.clocks import ClockWatch
 from ftcm_ros.timing.durations import Durations
 from ftcm_ros.timing.pacing import PACERS, Misses
-from ftcm_ros.transport.codec import JointSample
+from ftcm_ros.transport.codec import CodecError, JointSample
 from ftcm_ros.transport.composed import Composition
+from ftcm_ros.transport.float_array import FloatArray, joints_of
 from ftcm_ros.transport.topics import (
     CLOCK,
+    COMMAND,
     DISTURBANCE,
     JOINT_STATES,
     RECORDED,
@@ -79,23 +85,53 @@ class PlantNode(SuiteNode):
         self._truths = self.plane.sender(TRUE_STATE, self.codec.state)
         self._publish_clock = self.plane.publisher(CLOCK)
         self._publish_scenario = self.plane.publisher(SCENARIO)
-        for topic in (TORQUES, DISTURBANCE):
-            self.subscribe(topic, ("effort",), self._taker(topic))
+        command_topic: str = self.setting("command_topic")
+        joints: str = self.setting("command_joints")
+        self._free: bool = self.setting("stamps") == "free"
+        self.stands_in: bool = self.setting("command_interface") == "float64_multi_array"
+        """Whether it takes the newest command of whoever there is, and adds the disturbance itself."""
+        self._torque_topic = COMMAND._replace(name=command_topic) if self.stands_in else TORQUES
+        if self.stands_in:
+            self._require_real_time()
+            self._array = FloatArray(self.codec.joint_names, joints_of(joints))
+            self.plane.subscribe(self._torque_topic, self._on_command)
+        elif self._free:
+            raise FtcmError(
+                "stamps: free needs command_interface: float64_multi_array; nobody answers by stamp then"
+            )
+        else:
+            for topic in (TORQUES, DISTURBANCE):
+                self.subscribe(topic, ("effort",), self._taker(topic))
         self.plane.subscribe(RECORDED, self._on_recorded)
-        self.faults = FaultDesk(self, lambda: self.tick + self._moved)
+        self.faults = FaultDesk(
+            self, lambda: self.tick + self._moved, ("plant", "injector") if self.stands_in else ()
+        )
+        if self.stands_in:
+            self.fault_services = FaultServices(self, self.faults)
         self._clocks = ClockWatch()
         self.state = "waiting"
         self.detail = ""
         self._began = time.monotonic()
         self.elapsed = 0.0
+        self._stamped_from = 0
+        """Stamp of tick 0, ns."""
         self.configure()
+
+    def _require_real_time(self) -> None:
+        if self.mode != "real_time":
+            raise FtcmError(
+                f"command_interface: float64_multi_array is not possible with mode: {self.mode}: such a "
+                "command does not say for which tick it is; expected mode: real_time"
+            )
+        if self.stages == "compiled":
+            raise FtcmError("stages: compiled is not possible with command_interface: float64_multi_array")
 
     # A run.
 
     def configure(self) -> None:
         """The robot at its initial state."""
         joints = self.scenario.robot.joints
-        self.stage = self.staged(PlantStage(self.scenario))
+        self.stage = StandIn(self.scenario) if self.stands_in else self.staged(PlantStage(self.scenario))
         self.misses = Misses()
         self.pacer = PACERS[self.mode](self.scenario.dt_ns, misses=self.misses)
         self.tick = 0
@@ -124,6 +160,8 @@ class PlantNode(SuiteNode):
         self._began = time.monotonic()
         self.elapsed = 0.0
         self.faults.begin()
+        if self._free:
+            self._stamped_from = self.get_clock().now().nanoseconds
         self._prepare(0, reveal=self.scenario.hidden)
         self._begin_tick()
         self.pacer.begin()
@@ -155,7 +193,7 @@ class PlantNode(SuiteNode):
         self._measurements.send(measurement)
         if truth:
             self._truths.send(truth)
-        if self.time_ns % CLOCK_PERIOD_NS == 0:
+        if self.time_ns % CLOCK_PERIOD_NS == 0 and not self._free:
             sec, nanosec = divmod(self.time_ns, NANOSECONDS)
             self._publish_clock(
                 b"\x00\x01\x00\x00" + sec.to_bytes(4, "little") + nanosec.to_bytes(4, "little")
@@ -194,7 +232,9 @@ class PlantNode(SuiteNode):
     def _end_tick(self) -> None:
         """Move with what there is if that has not been done; then begin the next tick."""
         if not self._moved:
-            if self._missed(TORQUES, self.torque):  # the disturbance follows from the torque: one cause
+            if self._missed(
+                self._torque_topic, self.torque
+            ):  # the disturbance follows from the torque: one cause
                 self.misses.late_torque += 1
             elif self._missed(DISTURBANCE, self.disturbance):
                 self.misses.late_disturbance += 1
@@ -230,7 +270,9 @@ class PlantNode(SuiteNode):
                 self.stage.step(self.time_ns, self.torque.value, d)
         except (ArithmeticError, ValueError) as error:
             self._raised = str(error) or type(error).__name__
-        held = self.disturbance.time_ns != self.time_ns  # then its topic does not tell what has acted
+        held = (
+            not self.stands_in and self.disturbance.time_ns != self.time_ns
+        )  # then its topic does not tell what has acted
         self._prepare(self.time_ns + self.scenario.dt_ns, reveal=held or self.scenario.hidden)
         self.times.add(time.monotonic_ns() - begin)
 
@@ -246,6 +288,7 @@ class PlantNode(SuiteNode):
 
     def _prepare(self, time_ns: int, *, reveal: bool) -> None:
         """Make ready the measurement of a tick and, if wanted, the true motion and joint torque."""
+        time_ns += self._stamped_from
         self._measurement = self._measurements.ready(time_ns, *self.stage.measure())
         self._truth = None
         if reveal:
@@ -283,6 +326,20 @@ class PlantNode(SuiteNode):
                 self.refuse(topic, "stale", f"t = {seconds(time_ns):g} s after a later tick")
 
         return take
+
+    def _on_command(self, data: bytes, published_ns: int) -> None:
+        """Take the newest command: at the end of the tick it acts over the tick."""
+        if not self.active:
+            return
+        try:
+            torque = self._array.decode(data)
+        except CodecError as error:
+            self.refuse(self._torque_topic, "malformed", str(error))
+            return
+        if not all(map(isfinite, torque)):
+            self.refuse(self._torque_topic, "not_finite", f"{list(torque)} is not finite")
+            return
+        self.torque.time_ns, self.torque.value = self.time_ns, torque
 
     def _on_recorded(self, data: bytes, published_ns: int) -> None:
         stamp = deserialize_message(data, Time)

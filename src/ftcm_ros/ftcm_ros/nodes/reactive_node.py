@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import sys
 import time
 from abc import abstractmethod
 from collections.abc import Callable
@@ -12,6 +13,7 @@ from typing import Any
 
 from ftcm_ros.nodes.suite_node import POLL_NS, SuiteNode
 from ftcm_ros.timing.durations import Durations
+from ftcm_ros.timing.free_ticks import JUMP_NS, FreeTicks
 from ftcm_ros.transport.aligner import Aligner
 from ftcm_ros.transport.codec import JointSample
 from ftcm_ros.transport.composed import Composition
@@ -34,6 +36,12 @@ class ReactiveNode(SuiteNode):
         """Declare the common parameters; a subclass then calls :meth:`listen`."""
         super().__init__(name, composition)
         self.times = Durations()
+        self.free: FreeTicks | None = None
+        """What counts the ticks where stamps are not theirs."""
+        self.begun_anew = 0
+        """How often such stamps have jumped, so that the node began afresh."""
+        self.run_ns = 0
+        """Time of the tick under way in the run, ns; its stamp, where stamps are those of the run."""
         self.gaps = 0
         """Ticks skipped between two that were answered."""
         self.elapsed = 1
@@ -46,6 +54,12 @@ class ReactiveNode(SuiteNode):
         self._incomplete = False
         """Whether the last input of a tick has come but not all others: wait for those too."""
         self._answer: Answer = []
+
+    def count_ticks(self) -> None:
+        """Take measurements of any stamps, where the parameter ``stamps`` says so, and count the ticks."""
+        if self.setting("stamps") == "free":
+            self._dt_ns, self._end_ns = 1, sys.maxsize  # every stamp will do
+            self.free = FreeTicks(self.scenario.dt_ns)
 
     def listen(self, needs: dict[Topic, tuple[str, ...]]) -> None:
         """Say which topics carry a value per tick.
@@ -81,12 +95,16 @@ class ReactiveNode(SuiteNode):
         time_ns, aligner = sample.time_ns, self.aligner
         begin = time.monotonic_ns()
         if name == self._first and aligner.last is not None:
-            if time_ns == 0 < aligner.last:  # the plant begins a run
-                self.configure()
-            elif time_ns == aligner.last:  # the plant asks again
+            if time_ns == aligner.last:  # the plant asks again
                 for send, message in self._answer:
                     send(message)
                 return
+            if self.free is not None:
+                if abs(time_ns - aligner.last) > JUMP_NS:
+                    self.begun_anew += 1
+                    self.configure()
+            elif time_ns == 0:  # the plant begins a run
+                self.configure()
         before = aligner.last
         values = aligner.put(name, time_ns, sample)
         if values is None:
@@ -97,7 +115,12 @@ class ReactiveNode(SuiteNode):
             self._incomplete = name == aligner.required[-1]
             return
         self._incomplete = False
-        self.elapsed = 1 if before is None else (time_ns - before) // self.scenario.dt_ns
+        if self.free is None:
+            self.elapsed = 1 if before is None else (time_ns - before) // self.scenario.dt_ns
+            self.run_ns = time_ns
+        else:
+            self.elapsed = self.free.count(time_ns)
+            self.run_ns = self.free.tick * self.scenario.dt_ns
         self.gaps += self.elapsed - 1
         self._answer = self.answer(time_ns, values)
         for send, message in self._answer:
@@ -113,15 +136,23 @@ class ReactiveNode(SuiteNode):
 
     @abstractmethod
     def answer(self, time_ns: int, values: dict[str, JointSample]) -> Answer:
-        """Compute one tick: return what to send."""
+        """Compute one tick, whose time in the run is :attr:`run_ns`: return what to send, with this stamp."""
 
     def next_tick(self) -> int:
         """Number of the tick that is answered next."""
+        if self.free is not None:
+            return self.free.tick + 1
         return 0 if self.aligner.last is None else self.aligner.last // self.scenario.dt_ns + 1
+
+    def run_time(self, stamp_ns: int) -> int:
+        """Return the time of the run at which a stamp is, ns."""
+        return stamp_ns if self.free is None else stamp_ns - self.free.first
 
     def configure(self) -> None:
         """Begin afresh with the next tick."""
         self.aligner.reset()
+        if self.free is not None:
+            self.free = FreeTicks(self.scenario.dt_ns)
         self.times = Durations()
         self._answer = []
 
@@ -132,8 +163,14 @@ class ReactiveNode(SuiteNode):
         message = "active" if self.active else "inactive"
         if self.gaps:
             level, message = "warn", f"{self.gaps} ticks skipped"
+        counted: dict[str, Any] = {}
+        if self.free is not None:
+            counted = {"early": self.free.early, "begun_anew": self.begun_anew}
+            if self.free.early > 0.01 * self.ticks:
+                level, message = "warn", f"{message}; measurements come more often than every dt"
         return level, message, {
             **times,
+            **counted,
             "gaps": self.gaps,
             "stale": self.aligner.stale,
             "repeated": self.aligner.repeated,

@@ -99,7 +99,9 @@ class SuiteNode(LifecycleNode):
         """Declare one of this node's read-only parameters and return its value."""
         declared = setting(self.name_in_suite, name)
         text = declared.description + (f"; one of {', '.join(declared.choices)}" if declared.choices else "")
-        descriptor = ParameterDescriptor(description=text, read_only=True)
+        descriptor = ParameterDescriptor(
+            description=text, read_only=True, dynamic_typing=isinstance(declared.default, float)
+        )
         return declared.check(self.declare_parameter(name, declared.default, descriptor).value)
 
     def staged(self, stage: Any, component: Component | None = None) -> Any:
@@ -167,6 +169,7 @@ class SuiteNode(LifecycleNode):
 
     def _deactivate(self) -> None:
         if self.active:
+            self.conclude()
             self.active = False
             self.deactivate()
             self.report()
@@ -198,6 +201,9 @@ class SuiteNode(LifecycleNode):
 
     def activate(self) -> None:
         """Begin a run; main thread."""
+
+    def conclude(self) -> None:
+        """Do what belongs to the run's last moments: the node is still active; main thread."""
 
     def deactivate(self) -> None:
         """End the run; main thread."""

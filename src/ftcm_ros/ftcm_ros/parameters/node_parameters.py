@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import math
 from typing import Any, NamedTuple
 
 from ftcm_core.errors import FtcmError, suggestion
@@ -28,13 +29,18 @@ class Setting(NamedTuple):
     choices: tuple[str, ...] = ()
 
     def check(self, value: Any) -> Any:
-        """Return the value if it is one of the choices.
+        """Return the value if it is one of the choices; a number of seconds, whole or not, as float.
 
         Raises:
             FtcmError: it is not; the message suggests one.
         """
         if self.choices and value not in self.choices:
             raise FtcmError(f"{self.name}: no {value!r}; {suggestion(str(value), self.choices)}")
+        if isinstance(self.default, float):
+            number = isinstance(value, (int, float)) and not isinstance(value, bool)
+            if not (number and math.isfinite(value) and value >= 0):
+                raise FtcmError(f"{self.name}: {value!r} is out of range; expected seconds, at least 0")
+            return float(value)
         return value
 
 
@@ -83,6 +89,23 @@ _ACCOMMODATING = (
     ),
 )
 
+_STAMPS = Setting(
+    "stamps",
+    "run",
+    "run: stamps of measurements are ticks of the run; free: they are of any clock, and ticks are counted",
+    ("run", "free"),
+)
+
+_INTERFACE = (
+    Setting("command_topic", "/effort_controller/commands", "topic of the Float64MultiArray"),
+    Setting(
+        "command_joints",
+        "",
+        "joints in the order of the numbers of the Float64MultiArray, separated by commas; empty: as in the "
+        "robot",
+    ),
+)
+
 SETTINGS: dict[str, tuple[Setting, ...]] = {
     "plant": (
         *_TICK,
@@ -102,11 +125,68 @@ SETTINGS: dict[str, tuple[Setting, ...]] = {
             100,
             "real_time: ticks without fresh torque after which the drives brake (safe stop); 0: never",
         ),
+        Setting(
+            "command_interface",
+            "joint_state",
+            "where the torque comes from: joint_state: joint_torques, tick by tick; float64_multi_array: the "
+            "newest std_msgs/Float64MultiArray (real_time only), as a robot under ros2_control takes it; the "
+            "plant then adds the scenario's disturbances and faults itself",
+            ("joint_state", "float64_multi_array"),
+        ),
+        *_INTERFACE,
+        Setting(
+            "stamps",
+            "run",
+            "of joint_states: run: time of the tick; free: of the ROS clock at activation, and from there on "
+            "by dt, with float64_multi_array only",
+            ("run", "free"),
+        ),
     ),
-    "observer": _ACCOMMODATING,
-    "controller": _ACCOMMODATING,
+    "observer": (*_ACCOMMODATING, _STAMPS),
+    "controller": (
+        *_ACCOMMODATING,
+        _STAMPS,
+        Setting(
+            "reference_topic",
+            "",
+            "topic with trajectory_msgs/JointTrajectory to follow in place of the scenario's reference; the "
+            "robot is held where it is until the first one comes; empty: none",
+        ),
+        Setting(
+            "command_interface",
+            "joint_state",
+            "where the torque goes: joint_state: joint_torques, to the suite's plant; float64_multi_array: "
+            "besides, limited and watched, as std_msgs/Float64MultiArray to a robot; what follows in this "
+            "table is for that",
+            ("joint_state", "float64_multi_array"),
+        ),
+        *_INTERFACE,
+        Setting("dry_run", False, "compute and report, but publish nothing on the command topic"),
+        Setting(
+            "measurement_timeout",
+            0.1,
+            "s without an answered measurement after which the controller stops for good; 0: never",
+        ),
+        Setting(
+            "stop_command",
+            "zero",
+            "what is published last, once, when the controller stops: zero torque, the last torque again, or "
+            "the model's gravity torque",
+            ("zero", "hold", "gravity"),
+        ),
+        Setting(
+            "start_ramp",
+            2.0,
+            "s over which the reference goes from the motion measured first to that of the scenario; 0: none",
+        ),
+        Setting(
+            "stop_ramp",
+            0.5,
+            "s over which the torque goes to that of stop_command at deactivation; 0: none",
+        ),
+    ),
     "injector": _TICK,
-    "detector": _TICK,
+    "detector": (*_TICK, _STAMPS),
     "recorder": (
         *_COMMON,
         Setting("bag", "", "folder of the bag to make, which must not exist; empty: ftcm-DATE-TIME"),

@@ -8,6 +8,7 @@ from typing import NamedTuple
 from ftcm_core.scenario import Scenario
 from ftcm_core.signals import CHANNELS, COLUMNS, Channel, channels
 from ftcm_ros.transport.codec import JOINT_STATE
+from ftcm_ros.transport.float_array import FLOAT_ARRAY
 
 DEPTH = 4000
 """Queue depth of every data topic: four seconds at 1 kHz. The middleware keeps so many, read or not."""
@@ -109,10 +110,27 @@ CLOCK = Topic(
     "simulated time, 100 Hz; an output only",
     depth=10,
 )
+COMMAND = Topic(
+    "/effort_controller/commands",
+    FLOAT_ARRAY,
+    ("controller",),
+    ("plant",),
+    "torques N·m, one per joint in the order that both sides have agreed on; only with `command_interface: "
+    "float64_multi_array`, under the name in `command_topic`",
+    depth=10,
+)
+TRAJECTORY = Topic(
+    "/joint_trajectory",
+    "trajectory_msgs/msg/JointTrajectory",
+    (),
+    ("controller",),
+    "a motion to follow from now on; only where `reference_topic` names the topic",
+    depth=10,
+)
 
 EVENTS = (CHANGES, FAULTS, SCENARIO, DIAGNOSTICS)
 """Recorded besides the data topics."""
-TOPICS = (*_BY_NAME.values(), *EVENTS, FAULT_ORDERS, RECORDED, CLOCK)
+TOPICS = (*_BY_NAME.values(), *EVENTS, FAULT_ORDERS, RECORDED, CLOCK, COMMAND, TRAJECTORY)
 """All topics of the suite."""
 
 
