@@ -83,7 +83,7 @@ def newton_euler(
     # Outwards: angular velocity w, its rate dw, and acceleration d of the frame's origin, against gravity.
     w1 = w2 = w3 = ww = dw1 = dw2 = dw3 = d1 = d2 = 0.0
     d3 = gravity
-    loads = []
+    loads: list[tuple[float, ...]] = []
     for link, place, rate, rate2 in zip(links, at, v, a):
         slides, _, _, _, _, _, _, m, mx, my, mz, xx, yy, zz, xy, xz, yz = link
         c, s, ca, sa, x, y, z = place

@@ -9,6 +9,7 @@ has besides (shapes, limits of controllers, transmissions) is not looked at.
 from __future__ import annotations
 
 import functools
+import hashlib
 import importlib.util
 import math
 import os
@@ -26,6 +27,9 @@ PACKAGE = "package:"
 MAX_BYTES = 10_000_000
 MOVING = ("revolute", "continuous", "prismatic")
 """Types of joints that a chain may have, besides fixed ones."""
+
+files_read: dict[str, str] = {}
+"""Files read so far, as they were named, and the begin of the SHA-256 of each: the origin of a result."""
 
 Matrix = tuple[Vector, Vector, Vector]
 UNIT: Matrix = ((1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0))
@@ -151,7 +155,8 @@ def read_arm(file: str, tip: str | None) -> Arm:
     path = locate(file)
     try:
         about = path.stat()
-        return _read(str(path), tip, about.st_mtime_ns, about.st_size)
+        arm, files_read[file] = _read(str(path), tip, about.st_mtime_ns, about.st_size)
+        return arm
     except FileNotFoundError:
         raise ParameterError(f"{shown(file)}: no such file; expected a URDF file") from None
     except (OSError, ValueError) as error:
@@ -160,14 +165,15 @@ def read_arm(file: str, tip: str | None) -> Arm:
 
 
 @functools.lru_cache(maxsize=64)
-def _read(path: str, tip: str | None, changed: int, size: int) -> Arm:
+def _read(path: str, tip: str | None, changed: int, size: int) -> tuple[Arm, str]:
     del changed  # another time of change is another entry
     if size > MAX_BYTES:
         raise ParameterError(f"{path}: larger than {MAX_BYTES} bytes; expected a URDF file")
     if not Path(path).is_file():
         raise ParameterError(f"{path}: not a regular file; expected a URDF file")
     try:
-        return parse_arm(Path(path).read_bytes(), tip)
+        text = Path(path).read_bytes()
+        return parse_arm(text, tip), hashlib.sha256(text).hexdigest()[:12]
     except ParameterError as error:
         raise ParameterError(f"{shown(path)}: {error}") from None
 
