@@ -14,16 +14,13 @@ import numpy as np
 import pytest
 import yaml
 
-from ftcm_core import compiled
 from ftcm_core.errors import ParameterError, ScenarioError
-from ftcm_core.recording.metrics import evaluate
 from ftcm_core.recording.provenance import provenance
 from ftcm_core.robots import Robot
 from ftcm_core.robots.puma560 import Puma560
 from ftcm_core.robots.urdf import Urdf
-from ftcm_core.robots.urdf_file import locate, parse_arm
+from ftcm_core.robots.urdf_file import locate
 from ftcm_core.scenario import from_mapping, load
-from ftcm_core.simulation import simulate
 from urdf_arms import PANDA, UR5, arm_text, joint, link, need_arms
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "reference"))
@@ -257,7 +254,7 @@ def test_the_pumas_closed_form_is_that_of_its_file() -> None:
 
 
 def test_the_pumas_printed_constants_are_near_its_file() -> None:
-    """‖ΔM‖/‖M‖ is 4.8 % at worst, as Armstrong's I1 and I3 are not those of his links; gravity is within 0.5 %."""
+    """‖ΔM‖/‖M‖ is 4.8 % at worst, as Armstrong's I1 and I3 are not those of his links; G is within 0.5 %."""
     robot, worst, weight, largest = Puma560(), 0.0, 0.0, 0.0
     for q2 in np.linspace(-math.pi, math.pi, 41).tolist():
         for q3 in np.linspace(-math.pi, math.pi, 41).tolist():
@@ -269,3 +266,235 @@ def test_the_pumas_printed_constants_are_near_its_file() -> None:
             largest = max(largest, float(np.abs(PUMA.gravity(q)).max()))
     assert worst == pytest.approx(0.048, abs=5e-4)
     assert weight < 0.005 * largest
+
+
+# ---- what is read ----
+
+
+def test_bodies_that_do_not_move_are_folded(tmp_path: Path) -> None:
+    """A mass behind fixed joints is that mass on the link that carries them."""
+    base = '<link name="base"/><joint name="j" type="revolute"><parent link="base"/><child link="l"/></joint>'
+    inertia = '<inertia ixx="0" ixy="0" ixz="0" iyy="0" iyz="0" izz="0"/></inertial></link>'
+    apart = f"""<robot name="r">{base}<link name="l"/><link name="m"/>
+        <link name="n"><inertial><mass value="2"/>{inertia}
+        <joint name="f" type="fixed"><parent link="l"/><child link="m"/><origin xyz="0 1 0"/></joint>
+        <joint name="g" type="fixed"><parent link="m"/><child link="n"/>
+        <origin xyz="0 0 1" rpy="1 2 3"/></joint>
+        </robot>"""
+    together = f"""<robot name="r">{base}
+        <link name="l"><inertial><mass value="2"/><origin xyz="0 1 1"/>{inertia}</robot>"""
+    one, other = (
+        Urdf(file=write(tmp_path, apart, "one.urdf")),
+        Urdf(file=write(tmp_path, together, "two.urdf")),
+    )
+    assert one.arm.links[0].body == pytest.approx(other.arm.links[0].body, abs=1e-15)
+    assert one.inertia_torque((0.3,), (1.0,)) == pytest.approx((4.0,)), "about x, the default axis: 2 (1 + 1)"
+
+
+def test_limits_of_the_file_are_told() -> None:
+    """They are not applied: a scenario has its own."""
+    joint = Urdf().arm.joints[1]
+    assert (joint.name, joint.effort, joint.velocity, joint.lower, joint.upper) == (
+        "joint2", 186.4, 0.93, -3.92, 0.78,
+    )  # fmt: skip
+
+
+def test_the_tip_is_the_last_link_that_moves_unless_named() -> None:
+    """Of the PUMA: the centre of the wrist's third link's frame, or the flange."""
+    q, down = (0.4, -0.3, 0.2), (0.0, 0.0, -1.0)
+    flange, closed = Urdf(tip="tip"), Puma560(payload_distance=0.056)
+    assert flange.tip_torque(q, down) == pytest.approx(closed.tip_torque(q, down), abs=1e-12)
+    assert Urdf().tip_torque(q, down)[2] == 0.0, "the origin of link 3 lies on its own axis"
+
+
+# ---- where the file is ----
+
+
+def test_a_file_of_a_package(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Of an importable one, of an installed one by the end of its path, of a ROS package of a workspace."""
+    assert locate("package:ftcm_core/config/robots/puma560.urdf").is_file()
+    folder = tmp_path / "site"
+    info = folder / "some_arms-1.0.dist-info"
+    for name in ("some/arms/one.urdf", "some/arms/two.urdf", "other/arms/two.urdf"):
+        (folder / name).parent.mkdir(parents=True, exist_ok=True)
+        (folder / name).write_text("")
+    info.mkdir()
+    (info / "METADATA").write_text("Metadata-Version: 2.1\nName: some-arms\nVersion: 1.0\n")
+    (info / "RECORD").write_text("some/arms/one.urdf,,\nsome/arms/two.urdf,,\nother/arms/two.urdf,,\n")
+    monkeypatch.syspath_prepend(str(folder))
+    assert locate("package:some-arms/arms/one.urdf") == folder / "some/arms/one.urdf"
+    assert locate("package:some-arms/some/arms/two.urdf") == folder / "some/arms/two.urdf"
+    with pytest.raises(ParameterError, match=r"has 2 such files.*write more of the path"):
+        locate("package:some-arms/arms/two.urdf")
+    with pytest.raises(ParameterError, match=r"'some-arms' has no file 'three\.urdf'"):
+        locate("package:some-arms/three.urdf")
+    shared = tmp_path / "install/share/my_arm/urdf"
+    shared.mkdir(parents=True)
+    (shared / "arm.urdf").write_text("")
+    monkeypatch.setenv("AMENT_PREFIX_PATH", os.pathsep.join([str(tmp_path), str(tmp_path / "install")]))
+    for form in ("package:my_arm/urdf/arm.urdf", "package://my_arm/urdf/arm.urdf"):
+        assert locate(form) == shared / "arm.urdf"
+
+
+def scenario_text(folder: Path, file: str, **more: Any) -> str:
+    """A scenario file for an arm, ``arms/arm.urdf`` beside it."""
+    (folder / "arms").mkdir(exist_ok=True)
+    write(folder / "arms", arm_text([REVOLUTE] * 2, 7))
+    data = {
+        "robot": {"type": "urdf", "file": file}, "reference": "constant", "controller": "ctc",
+        "observer": "none", "duration": 0.01, **more,
+    }  # fmt: skip
+    return write(folder, yaml.safe_dump(data), "mine.yaml")
+
+
+def test_a_path_is_relative_to_the_scenario(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Of robot, model and plant; on the command line to the working folder. What is recorded is absolute."""
+    absolute = str(tmp_path / "arms" / "arm.urdf")
+    again = {"type": "urdf", "file": "arms/arm.urdf", "mass_factor": 1.1}
+    text = scenario_text(tmp_path, "arms/arm.urdf", plant={"robot": again}, model=again)
+    monkeypatch.chdir(tmp_path / "arms")
+    scenario = load(text)
+    assert [x.file for x in (scenario.robot, scenario.model)] == [absolute] * 2  # type: ignore[attr-defined]
+    assert from_mapping(scenario.to_mapping()) == scenario
+    named = load(text, ["robot={type: urdf, file: arm.urdf}", "plant=null", "model=null"])
+    assert named.robot.values["file"] == absolute
+
+
+def test_a_file_that_changed_is_read_again_and_told(tmp_path: Path) -> None:
+    """The origin of a result names the file by its digest."""
+    file = write(tmp_path, arm_text([REVOLUTE], 7))
+    first, digest = Urdf(file=file), provenance()[f"robot {file}"]
+    write(tmp_path, arm_text([REVOLUTE], 8) + " ")
+    second = Urdf(file=file)
+    assert first.gravity((0.3,)) != second.gravity((0.3,))
+    assert len(digest) == 12
+    assert provenance()[f"robot {file}"] != digest
+
+
+# ---- what is refused ----
+
+ARM = arm_text([REVOLUTE, REVOLUTE], 7)
+LINK = '<link name="{}"/>'
+LOOSE = '<joint name="j3" type="{}"><parent link="l2"/><child link="l3"/>{}</joint><link name="l3"/></robot>'
+BAD_TEXTS = {
+    "no XML": ("hello", "not XML: syntax error.*; expected a URDF file"),
+    "empty": ("", "not XML: no element found"),
+    "unknown encoding": ('<?xml version="1.0" encoding="nope"?><robot/>', "not XML"),
+    "another root": ("<sdf/>", "the first tag is 'sdf'; expected <robot>"),
+    "entities": ('<!DOCTYPE r [<!ENTITY a "b">]><robot/>', "declares a document type or entities"),
+    "xacro": (
+        '<robot xmlns:xacro="http://www.ros.org/wiki/xacro"><xacro:include/></robot>',
+        "macros that are not expanded; make a URDF of it with xacro",
+    ),
+    "nothing": ('<robot name="r"/>', "0 links hang on no joint; expected one, the base"),
+    "no joint": (f"<robot>{LINK.format('a')}</robot>", "no joint moves anything; expected an arm"),
+    "two bases": (
+        ARM.replace("</robot>", LINK.format("x") + "</robot>"),
+        "2 links hang on no joint: 'base', 'x'",
+    ),
+    "two names": (ARM.replace('"l2"', '"l1"'), "two links are named 'l1'"),
+    "no name": (ARM.replace('link name="l1"', "link"), "a <link> has no name"),
+    "no parent": (ARM.replace('<parent link="base"/>', ""), "joint 'j1': has no parent link"),
+    "no such link": (ARM.replace('<child link="l2"/>', '<child link="x"/>'), "joint 'j2': no link 'x'"),
+    "a loop": (ARM.replace('<parent link="base"/>', '<parent link="l2"/>'), "hangs on itself"),
+    "two parents": (
+        ARM.replace(
+            "</robot>", LOOSE.format(FIXED, "").replace("l3", "l1", 1).replace(LINK.format("l3"), "")
+        ),
+        "link 'l1' hangs on the joints 'j1' and 'j3'; expected an arm without closed loops",
+    ),
+    "planar": (
+        ARM.replace("</robot>", LOOSE.format("planar", "")),
+        "joint 'j3' is of type 'planar'; expected revolute, continuous, prismatic or fixed",
+    ),
+    "floating": (ARM.replace("</robot>", LOOSE.format("floating", "")), "joint 'j3' is of type 'floating'"),
+    "no type": (ARM.replace('type="revolute"', ""), "joint 'j1' is of type ''"),
+    "mimic": (
+        ARM.replace("</robot>", LOOSE.format(REVOLUTE, '<mimic joint="j1"/>')),
+        "joint 'j3' mimics another one, .*name a tip before it",
+    ),
+    "branches": (
+        ARM.replace("</robot>", LOOSE.format(REVOLUTE, "").replace("l2", "base")),
+        "joint 'j3' is not on the way to 'l2': the arm branches; name the link at the end",
+    ),
+    "no axis": (
+        ARM.replace("</robot>", LOOSE.format(REVOLUTE, '<axis xyz="0 0 0"/>')),
+        "joint 'j3': its axis is zero",
+    ),
+    "text for a number": (
+        ARM.replace("</robot>", LOOSE.format(REVOLUTE, '<axis xyz="0 0 z"/>')),
+        "joint 'j3': xyz='0 0 z'; expected 3 numbers",
+    ),
+    "too few": (
+        ARM.replace("</robot>", LOOSE.format(FIXED, '<origin xyz="0 1"/>')),
+        "joint 'j3': xyz='0 1'; expected 3 numbers",
+    ),
+    "no finite number": (
+        ARM.replace('mass value="2.0"', 'mass value="nan"'),
+        "link 'base': value='nan'; expected a number",
+    ),
+    "a negative mass": (ARM.replace('mass value="2.0"', 'mass value="-1"'), "link 'base': a mass of -1 kg"),
+    "no inertia": (
+        ARM.replace("</robot>", LOOSE.format(REVOLUTE, "")),
+        "mass matrix is not positive definite: joint 'j3' moves no mass; expected links with mass",
+    ),
+    "an impossible body": (
+        ARM.replace('ixx="', 'ixx="-9'),
+        "joint 'j2' moves a body that cannot exist",
+    ),
+}
+
+
+@pytest.mark.parametrize("case", BAD_TEXTS)
+def test_what_is_no_serial_arm_is_refused_in_one_line(case: str, tmp_path: Path) -> None:
+    """The line begins with the parameter's name, and names the file, the place and what was expected."""
+    text, message = BAD_TEXTS[case]
+    with pytest.raises(ParameterError, match=f"^file: .*{message}") as error:
+        Urdf(file=write(tmp_path, text))
+    assert len(str(error.value)) < 450
+    scenario = scenario_text(tmp_path, "arms/arm.urdf")
+    write(tmp_path / "arms", text)
+    with pytest.raises(ScenarioError, match=r"^mine\.yaml:\d+: robot\.file: "):
+        load(scenario)
+
+
+@pytest.mark.parametrize(
+    ("file", "message"),
+    [
+        ("nowhere.urdf", r"nowhere\.urdf'?: no such file; expected a URDF file"),
+        (".", "not a regular file"),
+        ("package:nobody_has_this/arm.urdf", "no package 'nobody_has_this' is installed here; pip install"),
+        ("package:ftcm_core/no.urdf", r"package 'ftcm_core' has no file 'no\.urdf'"),
+        ("package:ftcm_core", "names no file of a package; expected package:NAME/path"),
+        ("package:../x/arm.urdf", "names no file of a package"),
+        ("a\0b", "cannot be read"),
+        ("x" * 5000, "cannot be read: File name too long"),
+    ],
+)
+def test_a_file_that_is_not_there_is_refused_in_one_line(file: str, message: str) -> None:
+    """A path, or a package's."""
+    with pytest.raises(ParameterError, match=f"^file: .*{message}") as error:
+        Urdf(file=file)
+    assert len(str(error.value)) < 450
+
+
+def test_other_refusals(tmp_path: Path) -> None:
+    """A link that there is not, lists that do not fit, a file that is too large."""
+    file = write(tmp_path, ARM)
+    with pytest.raises(ParameterError, match=r"no link 'l3', which tip names; did you mean 'l\d'\?"):
+        Urdf(file=file, tip="l3")
+    with pytest.raises(ParameterError, match="no joint moves 'base'"):
+        Urdf(file=file, tip="base")
+    scenario = scenario_text(tmp_path, "arms/arm.urdf")
+    message = r"robot\.motor_inertia: \[0\.1\] has 1 entries; expected one per joint \(2\)"
+    with pytest.raises(ScenarioError, match=message):
+        load(scenario, ["robot.motor_inertia=[0.1]"])
+    large = write(tmp_path, ARM + " " * 10_000_000, "large.urdf")
+    with pytest.raises(ParameterError, match="larger than 10000000 bytes"):
+        Urdf(file=large)
+
+
+def test_a_joint_without_mass_may_have_a_motor(tmp_path: Path) -> None:
+    """Its mass matrix is then positive definite."""
+    file = write(tmp_path, ARM.replace("</robot>", LOOSE.format(REVOLUTE, "")))
+    assert Urdf(file=file, motor_inertia=[0.0, 0.0, 0.1]).joints == 3

@@ -64,7 +64,5 @@ def arm_text(kinds: Sequence[str], seed: int, more: Sequence[str] = (), **given:
     rng = np.random.default_rng(seed)
     names = ["base", *[f"l{i + 1}" for i in range(len(kinds))]]
     tags = [link(name, rng) for name in names]
-    tags += [
-        joint(f"j{i + 1}", kind, names[i], names[i + 1], rng, **given) for i, kind in enumerate(kinds)
-    ]
+    tags += [joint(f"j{i + 1}", kind, names[i], names[i + 1], rng, **given) for i, kind in enumerate(kinds)]
     return f'<robot name="arm">{"".join([*tags, *more])}</robot>'

@@ -11,7 +11,7 @@ from ftcm_core.errors import ParameterError
 from ftcm_core.params import param, per_joint
 from ftcm_core.registry import register
 from ftcm_core.robots import Robot, friction, solve
-from ftcm_core.robots.serial_chain import Link, force_torque, mass_matrix, newton_euler, places
+from ftcm_core.robots.serial_chain import Body, Link, force_torque, mass_matrix, newton_euler, places
 from ftcm_core.robots.urdf_file import PACKAGE, Arm, read_arm
 from ftcm_core.signals import Vector
 
@@ -84,7 +84,7 @@ class Urdf(Robot):
             q = tuple([(0.7 * turn * (j + 1)) % 3.0 - 1.5 if turn else 0.0 for j in range(self.joints)])
             joint = self._weightless(q)
             if joint is not None:
-                moves = "a body that cannot exist" if self._links[joint].m else "no mass"
+                moves = "a body that cannot exist" if self._links[joint].body.m else "no mass"
                 raise ParameterError(
                     f"file: the mass matrix is not positive definite: joint {self.joint_names[joint]!r} "
                     f"moves {moves}; expected links with mass and inertia, or a motor_inertia"
@@ -123,20 +123,14 @@ class Urdf(Robot):
     def _links(self) -> tuple[Link, ...]:
         """The links, with the payload on the last."""
         factors = per_joint(self.mass_factor, self.joints)
-        links = [
-            x._replace(**{k: f * getattr(x, k) for k in x._fields[7:]})
-            for x, f in zip(self.arm.links, factors)
-        ]
-        m, at = self.payload_mass, self._tip
-        last = links[-1]
-        x, y, z = at
-        links[-1] = last._replace(
-            m=last.m + m, mx=last.mx + m * x, my=last.my + m * y, mz=last.mz + m * z,
-            xx=last.xx + m * (y * y + z * z), yy=last.yy + m * (x * x + z * z),
-            zz=last.zz + m * (x * x + y * y), xy=last.xy - m * x * y, xz=last.xz - m * x * z,
-            yz=last.yz - m * y * z,
+        bodies = [Body(*[f * x for x in link.body]) for link, f in zip(self.arm.links, factors)]
+        m, (x, y, z) = self.payload_mass, self._tip
+        load = (
+            m, m * x, m * y, m * z, m * (y * y + z * z), m * (x * x + z * z), m * (x * x + y * y),
+            -m * x * y, -m * x * z, -m * y * z,
         )  # fmt: skip
-        return tuple(links)
+        bodies[-1] = Body(*[a + b for a, b in zip(bodies[-1], load)])
+        return tuple([link._replace(body=body) for link, body in zip(self.arm.links, bodies)])
 
     @cached_property
     def _rotors(self) -> Vector:

@@ -13,6 +13,7 @@ import hashlib
 import importlib.util
 import math
 import os
+import re
 import xml.etree.ElementTree as ET
 from collections.abc import Iterator
 from importlib import metadata
@@ -20,7 +21,7 @@ from pathlib import Path
 from typing import NamedTuple
 
 from ftcm_core.errors import ParameterError, shown, suggestion
-from ftcm_core.robots.serial_chain import Link
+from ftcm_core.robots.serial_chain import Body, Link
 from ftcm_core.signals import Vector
 
 PACKAGE = "package:"
@@ -64,17 +65,6 @@ class Joint(NamedTuple):
     """Largest position, rad or m."""
 
 
-class Body(NamedTuple):
-    """Moments of a mass about the origin of some frame."""
-
-    m: float
-    """kg."""
-    first: Vector
-    """kg·m."""
-    inertia: Matrix
-    """kg·m²."""
-
-
 class Arm(NamedTuple):
     """A serial arm."""
 
@@ -104,7 +94,7 @@ def locate(file: str) -> Path:
     if not file.startswith(PACKAGE):
         return Path(file)
     name, _, rest = file.removeprefix(PACKAGE).lstrip("/").partition("/")
-    if not name or not rest:
+    if not re.fullmatch(r"\w[\w.-]*", name) or not rest:
         raise ParameterError(f"{shown(file)} names no file of a package; expected package:NAME/path")
     known = False
     for folder in _folders(name):
@@ -253,7 +243,7 @@ def _body(link: ET.Element) -> Body:
     """What a link weighs, about its own origin."""
     where, tag = f"link {shown(_name(link))}", link.find("inertial")
     if tag is None:
-        return Body(0.0, ZERO, (ZERO, ZERO, ZERO))
+        return Body(*(0.0,) * 10)
     rotation, centre = _placement(tag, where)
     (m,) = _numbers(tag.find("mass"), "value", where, "0")
     if m < 0.0:
@@ -262,8 +252,7 @@ def _body(link: ET.Element) -> Body:
     xx, yy, zz, xy, xz, yz = [
         _numbers(inertia, f"i{x}", where, "0")[0] for x in ("xx", "yy", "zz", "xy", "xz", "yz")
     ]
-    about_centre: Matrix = ((xx, xy, xz), (xy, yy, yz), (xz, yz, zz))
-    return moved(Body(m, ZERO, about_centre), rotation, centre)
+    return moved(Body(m, 0.0, 0.0, 0.0, xx, yy, zz, xy, xz, yz), rotation, centre)
 
 
 def _joint(tag: ET.Element) -> Joint:
@@ -408,13 +397,9 @@ def _arm(bodies: dict[str, Body], joints: list[Joint], chain: list[Joint], tip: 
     for joint, (_, at), (_, alpha, theta), yaw in zip(moving, steps, factors, yaws):
         x, y, z = applied(turned(2, -yaw_before), at)
         turn = multiplied(turned(2, -yaw), transposed(along(joint.axis)))
-        m, (mx, my, mz), (row1, row2, row3) = moved(carried(joint.child), turn, ZERO)
-        links.append(
-            Link(
-                int(joint.type == "prismatic"), theta + yaw, math.cos(alpha), math.sin(alpha), x, y, z, m,
-                mx, my, mz, row1[0], row2[1], row3[2], row1[1], row1[2], row2[2],
-            )
-        )  # fmt: skip
+        body = moved(carried(joint.child), turn, ZERO)
+        slides = int(joint.type == "prismatic")
+        links.append(Link(slides, theta + yaw, math.cos(alpha), math.sin(alpha), x, y, z, body))
         yaw_before = yaw
     return Arm(tuple(moving), tuple(links), factors[0][0], tip_at, tip_axis)
 
@@ -453,34 +438,22 @@ def euler(r: Matrix) -> tuple[float, float, float]:
 
 def moved(body: Body, rotation: Matrix, origin: Vector) -> Body:
     """A body seen from another frame, in which its own stands at ``origin``, turned by ``rotation``."""
-    m, first, inertia = body
-    r = applied(rotation, first)
-    turned_inertia = multiplied(multiplied(rotation, inertia), transposed(rotation))
-    mid = sum(map(_product, r, origin)) * 2.0 + m * sum(map(_product, origin, origin))
-    entries = [
-        tuple(
-            [
-                turned_inertia[i][j]
-                + (mid if i == j else 0.0)
-                - origin[i] * r[j]
-                - r[i] * origin[j]
-                - m * origin[i] * origin[j]
-                for j in range(3)
-            ]
-        )
-        for i in range(3)
-    ]
-    return Body(m, added(r, tuple([m * x for x in origin])), (entries[0], entries[1], entries[2]))
-
-
-def _product(a: float, b: float) -> float:
-    return a * b
+    m, mx, my, mz, xx, yy, zz, xy, xz, yz = body
+    inertia: Matrix = ((xx, xy, xz), (xy, yy, yz), (xz, yz, zz))
+    (xx, xy, xz), (_, yy, yz), (_, _, zz) = multiplied(multiplied(rotation, inertia), transposed(rotation))
+    mx, my, mz = applied(rotation, (mx, my, mz))
+    x, y, z = origin
+    ax, ay, az = x * (2.0 * mx + m * x), y * (2.0 * my + m * y), z * (2.0 * mz + m * z)
+    nx, ny, nz = mx + m * x, my + m * y, mz + m * z
+    return Body(
+        m, nx, ny, nz, xx + ay + az, yy + ax + az, zz + ax + ay,
+        xy - x * ny - y * mx, xz - x * nz - z * mx, yz - y * nz - z * my,
+    )  # fmt: skip
 
 
 def plus(one: Body, other: Body) -> Body:
     """Two bodies as one, seen from the same frame."""
-    rows = [added(a, b) for a, b in zip(one.inertia, other.inertia)]
-    return Body(one.m + other.m, added(one.first, other.first), (rows[0], rows[1], rows[2]))
+    return Body(*[a + b for a, b in zip(one, other)])
 
 
 def added(a: Vector, b: Vector) -> Vector:
