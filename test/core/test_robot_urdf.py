@@ -14,20 +14,25 @@ import numpy as np
 import pytest
 import yaml
 
+from ftcm_core import compiled
 from ftcm_core.errors import ParameterError, ScenarioError
+from ftcm_core.recording.metrics import evaluate
 from ftcm_core.recording.provenance import provenance
 from ftcm_core.robots import Robot
 from ftcm_core.robots.puma560 import Puma560
 from ftcm_core.robots.urdf import Urdf
 from ftcm_core.robots.urdf_file import locate
 from ftcm_core.scenario import from_mapping, load
+from ftcm_core.simulation import Loop, simulate
 from urdf_arms import PANDA, UR5, arm_text, joint, link, need_arms
+from written_tick import WrittenTick
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "reference"))
 import puma560_matrix
 import puma560_refit
 import robot_matrices
 
+ROOT = Path(__file__).resolve().parents[2]
 REVOLUTE, CONTINUOUS, PRISMATIC, FIXED = "revolute", "continuous", "prismatic", "fixed"
 RNG = np.random.default_rng(3)
 MADE_UP = {
@@ -388,6 +393,7 @@ BAD_TEXTS = {
     ),
     "nothing": ('<robot name="r"/>', "0 links hang on no joint; expected one, the base"),
     "no joint": (f"<robot>{LINK.format('a')}</robot>", "no joint moves anything; expected an arm"),
+    "too many": (f"<robot>{LINK.format('a') * 501}</robot>", "501 links; expected an arm, with at most 500"),
     "two bases": (
         ARM.replace("</robot>", LINK.format("x") + "</robot>"),
         "2 links hang on no joint: 'base', 'x'",
@@ -498,3 +504,116 @@ def test_a_joint_without_mass_may_have_a_motor(tmp_path: Path) -> None:
     """Its mass matrix is then positive definite."""
     file = write(tmp_path, ARM.replace("</robot>", LOOSE.format(REVOLUTE, "")))
     assert Urdf(file=file, motor_inertia=[0.0, 0.0, 0.1]).joints == 3
+
+
+# ---- runs ----
+
+
+def arm_run(name: str, *overrides: str, controller: str = "ftcm") -> Any:
+    """The run of a scenario of a real arm, with its faults after a second."""
+    need_arms()
+    short = ["duration=1", "transient=0.5", "injection.faults.0.start=0.6", "injection.faults.1.start=0.6"]
+    return simulate(load(str(ROOT / "config" / "arms" / f"{name}.yaml"), [*short, *overrides], controller))
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(("name", "most"), [("ur5", 2.5e-3), ("panda", 6e-3)])
+def test_ftcm_holds_a_real_arm_after_its_faults(name: str, most: float) -> None:
+    """No joint is off by more than some mrad, at the onset; the law without an estimate by tens of them."""
+    held, lost = arm_run(name), arm_run(name, controller="ctc")
+    assert (held.status, lost.status) == ("completed", "completed")
+    found, other = evaluate(held)["after_fault"], evaluate(lost)["after_fault"]
+    assert found is not None
+    assert other is not None
+    assert max(found["max_abs_error"]) < most
+    assert max(other["max_abs_error"]) > 50.0 * most
+    assert np.abs(held.error[-1]).max() < 2e-3
+
+
+@pytest.mark.parametrize("name", ["ur5", "panda"])
+def test_limits_of_the_arms_scenarios_are_those_of_their_files(name: str) -> None:
+    """Torques and speeds, and positions where the scenario has them."""
+    need_arms()
+    scenario = load(str(ROOT / "config" / "arms" / f"{name}.yaml"))
+    joints, limits = scenario.robot.arm.joints, scenario.limits  # type: ignore[attr-defined]
+    assert limits.torque == tuple(x.effort for x in joints)
+    assert limits.velocity == tuple(x.velocity for x in joints)
+    if limits.lower is not None:
+        assert limits.lower == tuple(x.lower for x in joints)
+        assert limits.upper == tuple(x.upper for x in joints)
+
+
+def made_up_scenario(folder: Path, name: str, **more: Any) -> Any:
+    """An arm with motors follows slow sines; a quarter of the torque of joint 1 is lost after 0.1 s."""
+    robot = made_up(folder, name, motor_inertia=0.5)
+    fault = {"type": "loss_of_effectiveness", "joint": 1, "loss": 0.25, "start": 0.1}
+    return from_mapping(
+        {
+            "robot": robot.to_mapping(), "controller": "ftcm", "observer": "do", "duration": 0.4,
+            "reference": {"type": "sine", "amplitude": 0.3, "frequency": 0.5}, "transient": 0.1,
+            "injection": {"faults": [fault]}, **more,
+        }
+    )  # fmt: skip
+
+
+@pytest.mark.parametrize("name", ["gantry", "six", "seven"])
+def test_ftcm_holds_any_arm_after_a_fault(name: str, tmp_path: Path) -> None:
+    """Gains are those of the PUMA 560: the laws command accelerations."""
+    trace = simulate(made_up_scenario(tmp_path, name))
+    assert trace.status == "completed"
+    assert np.abs(trace.error[300:]).max() < 1e-3
+
+
+@pytest.mark.parametrize("name", ["gantry", "seven"])
+def test_what_is_written_for_an_arm_is_the_plain_tick(name: str, tmp_path: Path) -> None:
+    """Bit for bit, joints that slide too."""
+    scenario = made_up_scenario(tmp_path, name)
+    loop, other = Loop(scenario), Loop(scenario)
+    for k in range(3):
+        assert not any(x.tick(k * scenario.dt_ns, False, lambda row: None) for x in (loop, other))
+    written, plain = WrittenTick(loop), []
+    assert written.run(3, 20) == 20
+    for k in range(3, 20):
+        assert not other.tick(k * scenario.dt_ns, False, plain.append)
+    assert written.rows == [list(row) for row in plain]
+
+
+@pytest.mark.slow
+def test_a_compiled_run_of_an_arm_is_the_plain_run(tmp_path: Path) -> None:
+    """But for the rounding of single operations; a payload is picked up on the way."""
+    pytest.importorskip("numba", reason="numba is not installed")
+    pickup = {"type": "payload_pickup", "mass": 1.0, "start": 0.2}
+    scenario = made_up_scenario(tmp_path, "scara", injection={"faults": [pickup]})
+    plain, trace = simulate(scenario), compiled.simulate(scenario)
+    assert (plain.status, trace.status) == ("completed", "completed")
+    assert np.abs(trace.position - plain.position).max() < 1e-12
+    assert np.abs(plain.command[210] - plain.command[190]).max() > 1.0, "the payload matters"
+
+
+# ---- the page ----
+
+
+def test_the_gains_by_rule_of_the_page() -> None:
+    """Its code runs; pid, adrc and tdc follow with them on the PUMA 560 of the file."""
+    page = (ROOT / "docs" / "arms.md").read_text("utf-8")
+    code = page.partition("```python\n")[2].partition("```")[0]
+    gains: dict[str, Any] = {"PUMA": PUMA}
+    exec(code.replace('Urdf(file="my_arm.urdf", tip="tool0")', "PUMA"), gains)
+    least, mean, safe = gains["least"], gains["mean"], gains["safe"]
+    assert all(np.linalg.eigvalsh(m - np.diag(safe))[0] > 0.0 for m in gains["matrices"])
+    assert (safe < least).all()
+    for law in (
+        {"type": "pid", "kp": (100 * mean).tolist(), "kd": (20 * mean).tolist(), "ki": (100 * mean).tolist()},
+        {"type": "adrc", "b0": (1 / mean).tolist()},
+        {"type": "tdc", "m_bar": safe.tolist()},
+    ):
+        trace = simulate(
+            from_mapping(
+                {
+                    "robot": PUMA.to_mapping(), "reference": {"type": "sine", "amplitude": 0.3},
+                    "observer": "none", "controller": law, "duration": 1.5,
+                }
+            )
+        )  # fmt: skip
+        assert trace.status == "completed"
+        assert np.abs(trace.error[-1]).max() < 0.02

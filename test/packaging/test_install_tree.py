@@ -66,13 +66,15 @@ def test_config_files_are_installed_as_they_are_in_the_workspace(root, tmp_path)
 import importlib.resources, json, pathlib
 config = importlib.resources.files("ftcm_core") / "config"
 with importlib.resources.as_file(config) as folder:
-    files = {str(p.relative_to(folder)): p.read_text("utf-8") for p in sorted(folder.rglob("*.yaml"))}
+    found = sorted([*folder.rglob("*.yaml"), *folder.rglob("*.urdf")])
+    files = {str(p.relative_to(folder)): p.read_text("utf-8") for p in found}
 print(json.dumps(files))
 """
     installed = run_installed(code, tmp_path)
     config = root / "config"
-    assert installed == {str(p.relative_to(config)): p.read_text("utf-8") for p in config.rglob("*.yaml")}
-    assert "scenarios/paper.yaml" in installed
+    files = [*config.rglob("*.yaml"), *config.rglob("*.urdf")]
+    assert installed == {str(p.relative_to(config)): p.read_text("utf-8") for p in files}
+    assert {"scenarios/paper.yaml", "robots/puma560.urdf"} <= set(installed)
 
 
 def test_installed_core_tells_type_checkers_that_it_is_typed(tmp_path):

@@ -183,7 +183,8 @@ def outwards(
 
 
 def load(
-    m: float, mx: float, my: float, mz: float, xx: float, yy: float, zz: float, xy: float, xz: float, yz: float,
+    m: float, mx: float, my: float, mz: float,
+    xx: float, yy: float, zz: float, xy: float, xz: float, yz: float,
     w1: float, w2: float, w3: float, r1: float, r2: float, r3: float, d1: float, d2: float, d3: float,
 ) -> tuple[float, float, float, float, float, float]:  # fmt: skip
     """Force and moment about the origin that move a body so; arguments as of :func:`outwards`."""
@@ -220,7 +221,8 @@ def inwards(
 
 def body_inwards(
     c: float, s: float, ca: float, sa: float, x: float, y: float, z: float,
-    m: float, mx: float, my: float, mz: float, xx: float, yy: float, zz: float, xy: float, xz: float, yz: float,
+    m: float, mx: float, my: float, mz: float,
+    xx: float, yy: float, zz: float, xy: float, xz: float, yz: float,
 ) -> tuple[float, float, float, float, float, float, float, float, float, float]:  # fmt: skip
     """A body seen from the frame before: turned about z, then about x, then moved."""
     t = s * mx + c * my

@@ -25,7 +25,7 @@ from ftcm_core.robots.serial_chain import Body, Link
 from ftcm_core.signals import Vector
 
 PACKAGE = "package:"
-MAX_BYTES = 10_000_000
+MAX_BYTES, MAX_LINKS = 10_000_000, 500
 MOVING = ("revolute", "continuous", "prismatic")
 """Types of joints that a chain may have, besides fixed ones."""
 
@@ -203,6 +203,8 @@ def parse_arm(text: bytes, tip: str | None) -> Arm:
 
 def _unique(root: ET.Element, tag: str) -> list[ET.Element]:
     found = root.findall(tag)
+    if len(found) > MAX_LINKS:
+        raise ParameterError(f"{len(found)} {tag}s; expected an arm, with at most {MAX_LINKS}")
     names = [_name(x) for x in found]
     for name in names:
         if names.count(name) > 1:
