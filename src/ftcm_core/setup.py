@@ -10,7 +10,7 @@ setup(
     license="Apache-2.0",
     packages=find_packages(include=["ftcm_core", "ftcm_core.*"]),
     # ftcm_core/config is a link to the workspace's config/: one copy of each scenario.
-    package_data={"ftcm_core": ["py.typed", "config/**/*.yaml", "config/layouts/*"]},
+    package_data={"ftcm_core": ["py.typed", "config/**/*.yaml", "config/**/*.urdf", "config/layouts/*"]},
     data_files=[
         ("share/ament_index/resource_index/packages", ["resource/ftcm_core"]),
         ("share/ftcm_core", ["package.xml"]),
@@ -18,6 +18,10 @@ setup(
     zip_safe=False,
     python_requires=">=3.10",
     install_requires=["numpy>=1.26", "PyYAML>=6.0.1", "tabulate>=0.9", "tqdm>=4.66"],
-    extras_require={"figures": ["matplotlib>=3.6"], "compiled": ["numba>=0.61"]},
+    extras_require={
+        "figures": ["matplotlib>=3.6"],
+        "compiled": ["numba>=0.61"],
+        "arms": ["example-robot-data>=4.4"],
+    },
     entry_points={"console_scripts": ["ftcm = ftcm_core.cli:main"]},
 )

@@ -75,15 +75,15 @@ def test_config_files_are_installed_as_they_are_in_the_workspace(root, tmp_path)
 import importlib.resources, json, pathlib
 config = importlib.resources.files("ftcm_core") / "config"
 with importlib.resources.as_file(config) as folder:
-    files = {str(p.relative_to(folder)): p.read_text("utf-8") for pattern in ("*.yaml", "layouts/*")
+    files = {str(p.relative_to(folder)): p.read_text("utf-8") for pattern in ("*.yaml", "*.urdf", "layouts/*")
              for p in sorted(folder.rglob(pattern))}
 print(json.dumps(files))
 """
     installed = run_installed(code, tmp_path)
     config = root / "config"
-    there = [*config.rglob("*.yaml"), *config.glob("layouts/*")]
+    there = [*config.rglob("*.yaml"), *config.rglob("*.urdf"), *config.glob("layouts/*")]
     assert installed == {str(p.relative_to(config)): p.read_text("utf-8") for p in there}
-    assert "scenarios/paper.yaml" in installed
+    assert {"scenarios/paper.yaml", "robots/puma560.urdf"} <= set(installed)
 
 
 def test_installed_core_tells_type_checkers_that_it_is_typed(tmp_path):

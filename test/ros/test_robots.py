@@ -18,6 +18,7 @@ from ftcm_core.simulation import simulate
 from ftcm_ros.bags.reader import read_bag
 from plugins import GAINS, ROBOTS, ROBOTS_FILE, robots_known, scenario_mapping
 from traces import same
+from urdf_arms import arm_text
 
 pytestmark = pytest.mark.ros
 
@@ -44,6 +45,21 @@ def test_any_number_of_joints_over_the_graph(
         assert bag.trace.position.shape == (501, joints)
         assert abs(bag.trace.disturbance_estimate[-1]).max() > 0.0
         assert same(bag.trace, simulate(bag.trace.scenario))
+
+
+def test_an_arm_of_a_urdf_file_over_the_graph(experiment: Callable[..., Any], tmp_path: Path) -> None:
+    file = tmp_path / "arms" / "arm.urdf"
+    file.parent.mkdir()
+    file.write_text(arm_text(["revolute", "prismatic", "continuous", "revolute"], 7), encoding="utf-8")
+    robot = {"type": "urdf", "file": "arms/arm.urdf", "motor_inertia": 0.5}
+    data = {**scenario_mapping("urdf", duration=0.5), "robot": robot}
+    (tmp_path / "robot.yaml").write_text(json.dumps(data), encoding="utf-8")
+    run = experiment("robot.yaml")
+    assert run.returncode == 0, run.stderr
+    bag = read_bag(tmp_path / "runs" / "test" / "bags" / "ftcm")
+    assert bag.trace.joint_names == ("j1", "j2", "j3", "j4")
+    assert f"robot {file}" in json.loads(bag.metadata["provenance"])
+    assert same(bag.trace, simulate(bag.trace.scenario))
 
 
 def test_every_law_and_observer_is_swapped_in_while_six_joints_move(

@@ -12,6 +12,7 @@ from ftcm_core import registry
 from ftcm_core.registry import KINDS, components, load_plugin
 from ftcm_core.robots import Robot
 from ftcm_core.robots.puma560 import Puma560
+from ftcm_core.robots.urdf import Urdf
 
 ROBOTS_FILE = Path(__file__).with_name("robots.py")
 
@@ -34,7 +35,7 @@ with registry_kept():
     _classes = {name: cls for name, cls in components("robot").items() if cls.__module__ == _name}
 ROBOTS: dict[str, Robot] = {
     name: cls()
-    for name, cls in {**_classes, "puma560": Puma560}.items()  # type: ignore[misc]
+    for name, cls in {**_classes, "urdf": Urdf, "puma560": Puma560}.items()  # type: ignore[misc]
 }
 """Robots of 1, 2, 3 and 6 joints, by name."""
 

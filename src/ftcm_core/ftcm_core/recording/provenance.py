@@ -14,12 +14,13 @@ import numpy as np
 
 from ftcm_core import __version__
 from ftcm_core.registry import plugins
+from ftcm_core.robots.urdf_file import files_read
 
 
 def provenance() -> dict[str, str]:
     """Return versions of the suite and what it runs on, and the git revision where there is one.
 
-    A plug-in's version is the begin of the SHA-256 of its file.
+    The version of a plug-in, or of a robot's file, is the begin of the SHA-256 of its file.
     """
     found = {
         "ftcm_core": __version__,
@@ -31,6 +32,7 @@ def provenance() -> dict[str, str]:
         "processor": _processor(),
         "revision": git_revision() or "",
         **{f"plug-in {name}": _digest(Path(name)) for name in plugins()},
+        **{f"robot {file}": digest for file, digest in files_read.items()},
     }
     return {name: value for name, value in found.items() if value}
 

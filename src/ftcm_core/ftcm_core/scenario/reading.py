@@ -20,6 +20,7 @@ from ftcm_core.errors import FtcmError, ParameterError, ScenarioError, Unsuited,
 from ftcm_core.params import ParamSpec, specs
 from ftcm_core.registry import Component, find, load_plugin, plugins
 from ftcm_core.robots import Robot
+from ftcm_core.robots.urdf_file import PACKAGE
 from ftcm_core.scenario.definition import COMPONENTS, LISTS, InitialState, Scenario
 from ftcm_core.scenario.yaml_text import parse_yaml
 
@@ -71,7 +72,20 @@ def read_mapping(source: str) -> tuple[dict[str, Any], dict[str, int], str]:
     if not isinstance(data, dict):
         raise ScenarioError(f"{path.name}: expected a mapping with keys such as robot, controller, duration")
     data.setdefault("name", path.stem)
+    _set_folder(data, path.parent)
     return data, lines, path.name
+
+
+def _set_folder(data: dict[str, Any], folder: Path) -> None:
+    """Make the files of robots absolute, in place: what a scenario file names is relative to it."""
+    plant = data.get("plant")
+    for robot in (
+        data.get("robot"),
+        data.get("model"),
+        plant.get("robot") if isinstance(plant, dict) else None,
+    ):
+        if isinstance(robot, dict) and isinstance(file := robot.get("file"), str) and file:
+            robot["file"] = file if file.startswith(PACKAGE) else str(folder.absolute() / file)
 
 
 def load(source: str, overrides: Sequence[str] = (), controller: str | None = None) -> Scenario:
