@@ -440,6 +440,10 @@ BAD_TEXTS = {
         "link 'base': value='nan'; expected a number",
     ),
     "a negative mass": (ARM.replace('mass value="2.0"', 'mass value="-1"'), "link 'base': a mass of -1 kg"),
+    "a friction that drives": (
+        ARM.replace("</joint>", '<dynamics damping="-0.1"/></joint>'),
+        "joint 'j1': damping -0.1, friction 0; expected none below zero",
+    ),
     "no inertia": (
         ARM.replace("</robot>", LOOSE.format(REVOLUTE, "")),
         "mass matrix is not positive definite: joint 'j3' moves no mass; expected links with mass",

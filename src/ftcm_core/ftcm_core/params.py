@@ -48,7 +48,7 @@ class ParamSpec:
         if self.choices:
             return "one of " + ", ".join(self.choices)
         if self.kind == "str":
-            return "a text"
+            return "a text or null" if self.optional else "a text"
         text = "a whole number" if self.kind == "int" else "a number"
         if self.per_joint:
             text += " or a list with one number per joint"

@@ -198,7 +198,7 @@ def parse_arm(text: bytes, tip: str | None) -> Arm:
     joints = [_joint(x) for x in _unique(root, "joint")]
     above = _tree(bodies, joints)
     chain = _chain(joints, above, tip)
-    return _arm(bodies, joints, chain, tip)
+    return _arm(bodies, joints, chain)
 
 
 def _unique(root: ET.Element, tag: str) -> list[ET.Element]:
@@ -272,13 +272,15 @@ def _joint(tag: ET.Element) -> Joint:
     def most(key: str) -> float | None:
         return _numbers(limit, key, where, "0")[0] if limit is not None and key in limit.attrib else None
 
+    damping, friction = [_numbers(dynamics, key, where, "0")[0] for key in ("damping", "friction")]
+    if min(damping, friction) < 0.0:
+        raise ParameterError(f"{where}: damping {damping:g}, friction {friction:g}; expected none below zero")
     turns_on = tag.get("type") == "continuous"
     return Joint(
         name, tag.get("type", ""), ends[0], ends[1], rotation, origin,
         axis=_numbers(tag.find("axis"), "xyz", where, "1 0 0"),
         mimics=tag.find("mimic") is not None,
-        damping=_numbers(dynamics, "damping", where, "0")[0],
-        friction=_numbers(dynamics, "friction", where, "0")[0],
+        damping=damping, friction=friction,
         effort=most("effort"), velocity=most("velocity"),
         lower=None if turns_on else most("lower"), upper=None if turns_on else most("upper"),
     )  # fmt: skip
@@ -360,7 +362,7 @@ def _chain(joints: list[Joint], above: dict[str, Joint], tip: str | None) -> lis
     return chain
 
 
-def _arm(bodies: dict[str, Body], joints: list[Joint], chain: list[Joint], tip: str | None) -> Arm:
+def _arm(bodies: dict[str, Body], joints: list[Joint], chain: list[Joint]) -> Arm:
     """Make the arm: bodies folded together, and frames whose z axes are those of the joints."""
     moving = [joint for joint in chain if joint.type != "fixed"]
     below: dict[str, list[Joint]] = {}
@@ -386,8 +388,6 @@ def _arm(bodies: dict[str, Body], joints: list[Joint], chain: list[Joint], tip: 
             back = transposed(before)
             steps.append((multiplied(back, multiplied(rotation, aligned)), applied(back, origin)))
             rotation, origin, before = UNIT, ZERO, aligned
-    if tip is None:
-        rotation, origin = UNIT, ZERO
     back = transposed(before)
     tip_at, tip_axis = applied(back, origin), applied(back, column(rotation, 2))
 
