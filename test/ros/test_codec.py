@@ -62,6 +62,33 @@ def test_other_joint_order_and_extra_joints_are_taken_by_name(
     assert sample.velocity == ()
 
 
+@given(
+    order=st.permutations([*NAMES, "gripper"]),
+    other=st.permutations([*NAMES, "gripper"]),
+    frame=st.sampled_from(["", "base", "base_link"]),
+    values=st.tuples(floats, floats, floats, floats),
+    filled=st.sampled_from([("position",), ("position", "velocity", "effort")]),
+)
+def test_messages_like_the_last_foreign_one_are_read_without_names_and_others_still_by_name(
+    order: list[str], other: list[str], frame: str, values: tuple[float, ...], filled: tuple[str, ...]
+) -> None:
+    def message(names: list[str], numbers: tuple[float, ...]) -> bytes:
+        made = JointState(name=names, **{array: list(numbers) for array in filled})
+        made.header.frame_id = frame
+        made.header.stamp.sec = 7
+        return serialize_message(made)
+
+    codec = JointStateCodec(NAMES)
+    codec.decode(message(order, (1.0, 2.0, 3.0, 4.0)))
+    for names in (order, other):  # the other order has the same length
+        data = message(names, values)
+        assert codec.decode(data) == JointStateCodec(NAMES).decode(data)
+    if len(filled) == 3:  # else rclpy leaves bytes behind the end, and the length says nothing
+        codec.decode(message(order, (1.0, 2.0, 3.0, 4.0)))
+        codec._decode_by_name = None  # type: ignore[method-assign,assignment]
+        assert codec.decode(message(order, values)).effort == tuple(values[order.index(n)] for n in NAMES)
+
+
 def test_big_endian_messages_are_read() -> None:
     text = b"".join(struct.pack(">I", 7) + n.encode() + b"\0\0" for n in NAMES)
     body = struct.pack(">iI", 3, 4) + struct.pack(">I", 1) + b"\0\0\0\0" + struct.pack(">I", 3) + text

@@ -3,7 +3,8 @@
 
 The suite's own messages have one of three fixed layouts (which arrays are filled), encoded and
 decoded with one :mod:`struct` call. Any other JointState (another joint order, extra joints, another
-byte order) is read by rosbags and its joints are taken by name, or it is refused with the reason.
+byte order) is read by rosbags and its joints are taken by name, or it is refused with the reason. Those that
+follow it mostly have the same layout, which is then read in the same way.
 """
 
 from __future__ import annotations
@@ -45,7 +46,9 @@ class Layout:
     Padding is not looked at: other publishers leave whatever was in memory there.
     """
 
-    def __init__(self, joint_names: tuple[str, ...], filled: tuple[bool, bool, bool]) -> None:
+    def __init__(
+        self, joint_names: tuple[str, ...], filled: tuple[bool, bool, bool], frame_id: bytes = b""
+    ) -> None:
         """Lay the message out once: constants, padding and doubles in their order."""
         self.joints = joints = len(joint_names)
         self.filled = filled
@@ -68,7 +71,7 @@ class Layout:
             offset += pad + len(data)
             field += 1
 
-        constant(struct.pack("<I", 1) + b"\0", 4)  # empty frame_id
+        constant(struct.pack("<I", len(frame_id) + 1) + frame_id + b"\0", 4)
         constant(struct.pack("<I", joints), 4)
         for name in joint_names:
             text = name.encode() + b"\0"
@@ -162,6 +165,8 @@ class JointStateCodec:
         """joint_torques, disturbance, disturbance_estimate: effort."""
         self.layouts = (self.state, self.torque, self.motion)
         """All of the suite's own."""
+        self._foreign: tuple[Layout, list[int]] | None = None
+        """That of the last message of others, and where its values of this robot's joints are."""
         typestore().get_msgdef(JOINT_STATE)  # now: no message of the general path is to wait for it
 
     def decode(self, data: bytes) -> JointSample:
@@ -173,6 +178,11 @@ class JointStateCodec:
         for layout in self.layouts:
             if layout.size == len(data) and (sample := layout.decode(data)) is not None:
                 return sample
+        if self._foreign is not None:
+            layout, order = self._foreign
+            if layout.size == len(data) and (sample := layout.decode(data)) is not None:
+                time_ns, *arrays = sample
+                return JointSample(time_ns, *[tuple([a[i] for i in order]) if a else () for a in arrays])
         return self._decode_by_name(data)
 
     def _decode_by_name(self, data: bytes) -> JointSample:
@@ -191,9 +201,14 @@ class JointStateCodec:
                 raise CodecError(f"{what} has {len(array)} entries for {len(names)} names")
             return tuple([array[i] for i in order])
 
-        return JointSample(
+        sample = JointSample(
             time_ns, pick(position, "position"), pick(velocity, "velocity"), pick(effort, "effort")
         )
+        if data[:4] == _CDR_LITTLE_ENDIAN:  # the next one will be like this one
+            (length,) = struct.unpack_from("<I", data, 12)
+            filled = (bool(position), bool(velocity), bool(effort))
+            self._foreign = Layout(tuple(names), filled, data[16 : 15 + length]), order
+        return sample
 
 
 @cache
