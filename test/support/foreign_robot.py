@@ -40,7 +40,7 @@ def main(scenario_file: str, ticks: int, record: str) -> None:
     publisher = node.create_publisher(JointState, "/joint_states", 10)
     commands: list[list[float]] = []
     node.create_subscription(Float64MultiArray, COMMANDS, lambda m: commands.append(list(m.data)), 10)
-    first, measured, stamp = node.get_clock().now().nanoseconds, [], 0
+    first, measured, last = node.get_clock().now().nanoseconds, [], None
     for tick in range(ticks):
         y = plant.measure()
         measured.append([list(values) for values in y])
@@ -51,14 +51,14 @@ def main(scenario_file: str, ticks: int, record: str) -> None:
         message.header.stamp.sec, message.header.stamp.nanosec = divmod(stamp, NANOSECONDS)
         for array, values in zip((message.position, message.velocity, message.effort), y):
             array.extend([*(values[names.index(name)] for name in order), 0.5])
-        commands.clear()
         asked = 0.0
-        while not commands:
+        while not commands or commands[-1] == last:  # who was asked twice may answer twice
             if time.monotonic() - asked > ASK_AGAIN_SECONDS:
                 publisher.publish(message)
                 asked = time.monotonic()
             rclpy.spin_once(node, timeout_sec=0.1)
-        u = tuple(commands[-1][order.index(name)] for name in names)
+        last = commands[-1]
+        u = tuple(last[order.index(name)] for name in names)
         time_ns = tick * scenario.dt_ns
         plant.step(time_ns, u, injector.step(time_ns, *plant.motion, u))
     Path(record).write_text(json.dumps(measured), encoding="utf-8")

@@ -232,9 +232,8 @@ class PlantNode(SuiteNode):
     def _end_tick(self) -> None:
         """Move with what there is if that has not been done; then begin the next tick."""
         if not self._moved:
-            if self._missed(
-                self._torque_topic, self.torque
-            ):  # the disturbance follows from the torque: one cause
+            # The disturbance follows from the torque: one cause.
+            if self._missed(self._torque_topic, self.torque):
                 self.misses.late_torque += 1
             elif self._missed(DISTURBANCE, self.disturbance):
                 self.misses.late_disturbance += 1
@@ -270,9 +269,8 @@ class PlantNode(SuiteNode):
                 self.stage.step(self.time_ns, self.torque.value, d)
         except (ArithmeticError, ValueError) as error:
             self._raised = str(error) or type(error).__name__
-        held = (
-            not self.stands_in and self.disturbance.time_ns != self.time_ns
-        )  # then its topic does not tell what has acted
+        # With a held disturbance, its topic does not tell what has acted.
+        held = not self.stands_in and self.disturbance.time_ns != self.time_ns
         self._prepare(self.time_ns + self.scenario.dt_ns, reveal=held or self.scenario.hidden)
         self.times.add(time.monotonic_ns() - begin)
 
