@@ -34,8 +34,8 @@ LOOK_SECONDS = 0.1
 """How often messages are taken, s."""
 SCREEN_SECONDS, LINE_SECONDS = 0.25, 1.0
 """How often it is shown, s: on a terminal as a screen, elsewhere as a line."""
-REPORT_SECONDS = 1.2
-"""In so long, every node reports, s."""
+REPORT_SECONDS = 2.0
+"""In so long, every node reports, on a busy machine too, s."""
 DEPTH = 10
 """Messages of a data topic that wait to be taken."""
 HOME_AND_CLEAR = "\x1b[H\x1b[J"
