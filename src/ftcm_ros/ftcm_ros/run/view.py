@@ -7,10 +7,12 @@ import math
 from collections.abc import Mapping, Sequence
 from typing import NamedTuple
 
+import yaml
+
 from ftcm_core.detectors import VERDICTS
 from ftcm_core.faults.timing import NEVER
 from ftcm_core.signals import seconds
-from ftcm_ros.parameters.node_parameters import ALL_NODES
+from ftcm_ros.parameters.node_parameters import ALL_NODES, NODES
 from ftcm_ros.transport.topics import (
     CHANGES,
     DETECTION,
@@ -20,6 +22,7 @@ from ftcm_ros.transport.topics import (
     FAULTS,
     JOINT_STATES,
     REFERENCE,
+    SCENARIO,
     TORQUES,
 )
 
@@ -29,7 +32,7 @@ LEVELS = ("ok", "warn", "error", "stale")
 """Of diagnostics, by their number."""
 SHOWN = (JOINT_STATES, REFERENCE, TORQUES, ESTIMATE, DISTURBANCE, DETECTION)
 """Data topics of which the newest message is shown."""
-WATCHED = (DIAGNOSTICS, CHANGES, FAULTS)
+WATCHED = (DIAGNOSTICS, CHANGES, FAULTS, SCENARIO)
 """What else is listened to."""
 KEPT = 20
 """Messages of a topic that are kept, to find one of the same tick in another."""
@@ -74,6 +77,9 @@ class View:
         self._samples: dict[str, dict[int, Sample]] = {}
         self._faults: dict[str, tuple[float, float]] = {}
         self._components: dict[str, str] = {}
+        self._scenario = ""
+        self.expected: tuple[str, ...] = ()
+        """Nodes that the run has, where that is known."""
 
     # What is heard.
 
@@ -102,6 +108,16 @@ class View:
         """Take in which component is in force."""
         self._components[kind] = name
 
+    def hear_scenario(self, text: str) -> None:
+        """Take in the scenario, in YAML: it says which nodes the run has."""
+        try:
+            data = yaml.safe_load(text)
+        except yaml.YAMLError:
+            return
+        if isinstance(data, dict):
+            self._scenario = str(data.get("name", ""))
+            self.expected = ALL_NODES if data.get("detector") else NODES
+
     # What is known.
 
     def silent(self, node: str, now: float) -> bool:
@@ -124,6 +140,12 @@ class View:
         """Names of the joints."""
         kept = self._samples.get(JOINT_STATES.name)
         return kept[max(kept)].names if kept else ()
+
+    @property
+    def complete(self) -> bool:
+        """Whether every data topic has been heard whose publisher the run has."""
+        there = [topic for topic in SHOWN if topic.publishers[0] in self.expected]
+        return bool(there) and all(self._samples.get(topic.name) for topic in there)
 
     def newest(self, topic: str, array: str, joint: str) -> float:
         """Newest value of a joint; not-a-number if there is none."""
@@ -185,7 +207,7 @@ class View:
     def _heading(self, where: str) -> str:
         plant = self.health.get("plant")
         values = plant.values if plant else {}
-        words = ["ftcm watch", where, values.get("mode", "")]
+        words = ["ftcm watch", where, self._scenario, values.get("mode", "")]
         words += [f"{kind} {name}" for kind, name in sorted(self._components.items())]
         if self.time is not None:
             words.append(f"t = {self.time:.3f} s")
@@ -197,6 +219,8 @@ class View:
         rows = [("node", "level", "rate Hz", "ticks", "missed", "refused", "says")]
         for node in ALL_NODES:
             if node not in self.health:
+                if node in self.expected:
+                    rows.append((node, "-", "", "", "", "", "not heard yet"))
                 continue
             level, message, values, heard = self.health[node]
             named = LEVELS[level] if level < len(LEVELS) else str(level)

@@ -28,14 +28,14 @@ from ftcm_core.signals import NANOSECONDS
 from ftcm_ros.run.view import SHOWN, Sample, View
 from ftcm_ros.transport.joining import join_as
 from ftcm_ros.transport.plane import message_class, qos
-from ftcm_ros.transport.topics import CHANGES, DIAGNOSTICS, FAULTS, Topic
+from ftcm_ros.transport.topics import CHANGES, DIAGNOSTICS, FAULTS, SCENARIO, Topic
 
 LOOK_SECONDS = 0.1
 """How often messages are taken, s."""
 SCREEN_SECONDS, LINE_SECONDS = 0.25, 1.0
 """How often it is shown, s: on a terminal as a screen, elsewhere as a line."""
 REPORT_SECONDS = 2.0
-"""In so long, every node reports, on a busy machine too, s."""
+"""In so long, every node reports, s."""
 DEPTH = 10
 """Messages of a data topic that wait to be taken."""
 HOME_AND_CLEAR = "\x1b[H\x1b[J"
@@ -95,6 +95,7 @@ class Watch:
         events: list[tuple[Topic, Callable[[Any], None]]] = [
             (CHANGES, self._on_change),
             (FAULTS, self._on_fault),
+            (SCENARIO, lambda message: self.view.hear_scenario(message.data)),
         ]
         return events if self.health_only else [*events, *((topic, self._taker(topic)) for topic in SHOWN)]
 
@@ -152,13 +153,18 @@ def watch(options: argparse.Namespace) -> int:
 
 
 def _once(watched: Watch, timeout: float, where: str) -> str:
-    """Wait for every node's report and, of a run that is on, for its signals; return the screen."""
+    """Wait for every node's report and, of a run that is on, for its signals; return the screen.
+
+    Whoever is found late, on a busy machine, is waited for as long as is permitted.
+    """
     view = watched.view
     end = time.monotonic() + timeout
     while (now := time.monotonic()) < end:
         watched.look(now)
-        if "plant" in view.health and (view.joints or watched.health_only or not view.running(now)):
+        if "plant" in view.health and not view.running(now):
             end = min(end, now + REPORT_SECONDS)
+        elif view.expected and {*view.expected} <= {*view.health} and (view.complete or watched.health_only):
+            break
         time.sleep(LOOK_SECONDS)
     if not view.health:
         reach = os.environ.get("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
