@@ -161,7 +161,8 @@ NOT_FINITE = st.sampled_from([math.nan, math.inf, -math.inf, 10**400, -(10**400)
 def wrong(spec: ParamSpec) -> st.SearchStrategy[Any]:
     """Values that a parameter does not take."""
     if spec.kind == "str":
-        others = [NOT_NUMBERS.filter(lambda v: not isinstance(v, str)), NOT_FINITE, st.none()]
+        others = [NOT_NUMBERS.filter(lambda v: not isinstance(v, str)), NOT_FINITE]
+        others += [] if spec.optional else [st.none()]
         return st.one_of(*others, *([st.text().filter(lambda s: s not in spec.choices)] * bool(spec.choices)))
     bad = [NOT_NUMBERS, NOT_FINITE]
     if math.isfinite(spec.lower):

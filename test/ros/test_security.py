@@ -33,6 +33,9 @@ WAIT_SECONDS = 60.0
 """Generous ceiling for what is to happen."""
 ONLY_WITH_AN_IDEAL_SENSOR = "/joint_states"
 """What the injector subscribes in place of true_state."""
+ONLY_WITH_A_REFERENCE_TOPIC = "/joint_trajectory"
+ONLY_WITH_A_COMMAND_INTERFACE = "/effort_controller/commands"
+"""What the controller publishes for a robot, and the plant subscribes in place of one."""
 
 
 def test_the_policy_is_up_to_date() -> None:
@@ -48,7 +51,7 @@ def test_the_policy_allows_what_the_nodes_have_and_no_more(
         "[{type: sensor_bias, trigger: hand}, {type: vo_kang_fault, trigger: hand}, "
         "{type: dropped_messages, topic: disturbance_estimate, trigger: hand}]"
     )
-    more = ["detector=residual_threshold", "policies=[safe_stop]", f"injection.faults={faults}"]
+    more = ["detector=residual_threshold", f"injection.faults={faults}", "policies=[safe_stop]"]
     scenario = load("paper", ["sensor={type: encoder}", *more])
     (tmp_path / "every.yaml").write_text(scenario.to_yaml(), encoding="utf-8")
     for name in ALL_NODES:
@@ -69,6 +72,9 @@ def test_the_policy_allows_what_the_nodes_have_and_no_more(
 
     expected = {name: rules(name) for name in ALL_NODES}
     expected["injector"]["topics", "subscribe"].remove(ONLY_WITH_AN_IDEAL_SENSOR)
+    expected["controller"]["topics", "publish"].remove(ONLY_WITH_A_COMMAND_INTERFACE)
+    expected["controller"]["topics", "subscribe"].remove(ONLY_WITH_A_REFERENCE_TOPIC)
+    expected["plant"]["topics", "subscribe"].remove(ONLY_WITH_A_COMMAND_INTERFACE)
     end = time.monotonic() + WAIT_SECONDS
     while time.monotonic() < end:
         watcher.executor.spin_once(timeout_sec=0.05)

@@ -15,7 +15,7 @@ NEEDED = {"mcap": "1.2", "psutil": "5.9.8", "rosbags": "0.11.9"}
 """What runs over the graph need from the package index, with the oldest version, as in ``setup.py``."""
 MESSAGES = (
     "builtin_interfaces", "diagnostic_msgs", "lifecycle_msgs", "rcl_interfaces", "rosgraph_msgs",
-    "sensor_msgs", "std_msgs",
+    "sensor_msgs", "std_msgs", "trajectory_msgs",
 )  # fmt: skip
 """Packages of messages that the nodes use."""
 DISTRIBUTION, MIDDLEWARE = "jazzy", "rmw_fastrtps_cpp"

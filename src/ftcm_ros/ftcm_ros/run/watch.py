@@ -12,6 +12,7 @@ from __future__ import annotations
 import argparse
 import os
 import shutil
+import signal
 import sys
 import time
 from collections.abc import Callable, Sequence
@@ -205,6 +206,7 @@ def build_parser() -> argparse.ArgumentParser:
 def main(argv: Sequence[str] | None = None) -> None:
     """Entry point of ``ros2 run ftcm_ros watch``."""
     options = build_parser().parse_args(argv)
+    signal.signal(signal.SIGINT, signal.default_int_handler)  # a shell lets what it runs beside it ignore it
     try:
         if sys.stdout is None:
             raise OSError("standard output is closed; results go there: redirect it, e.g. > FILE")
