@@ -71,7 +71,11 @@ test-env:
 .PHONY: test-here
 test-here: test-env build ## Run all tests in .venv; PYTEST_ARGS='...' for some of them
 	@echo '==> test: all tests'
-	@$(call source,.venv,); $(call pytest,not docker)
+	@$(call source,.venv,); $(call pytest,not docker and not nightly)
+
+.PHONY: test-nightly
+test-nightly: test-env build ## Run what `make test` leaves out: numbers of the pages, more rounds of node faults
+	@$(call source,.venv,); python -m pytest -n "$$(nproc)" --dist worksteal -m nightly $(PYTEST_ARGS)
 
 .PHONY: docker-test
 docker-test: test-env ## Build the image and run the integration tests in containers (skipped without a Docker engine)
@@ -89,7 +93,7 @@ else
 	$(call colcon_build,.venv-jazzy,.venv-jazzy/); \
 	echo '==> test-jazzy: quick tests of what depends on packages, with the versions of Ubuntu 24.04'; \
 	$(call source,.venv-jazzy,.venv-jazzy/); \
-	$(call pytest,not slow and not docker and (versions or not (ros or pure)))
+	$(call pytest,not slow and not docker and not nightly and (versions or not (ros or pure)))
 endif
 
 .PHONY: lint

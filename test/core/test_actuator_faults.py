@@ -27,6 +27,8 @@ from plugins import ROBOTS, robots_known, scenario_mapping
 from traces import close, same
 from written_tick import WrittenTick, state_numbers
 
+pytestmark = pytest.mark.pure
+
 START, DT = 0.05, 1e-3
 FIRST = 51
 """First tick after the onset."""

@@ -147,6 +147,7 @@ def test_fresh_runs_keep_the_rate_of_the_command(tmp_path: Path) -> None:
     assert kept == found["detector"]
 
 
+@pytest.mark.nightly
 @pytest.mark.slow
 @pytest.mark.parametrize("test", ["residual_threshold", "cusum", "glr"])
 def test_the_rate_holds_beyond_what_was_counted(test: str) -> None:

@@ -26,6 +26,8 @@ from ftcm_core.simulation.fault_chain import FaultChain
 from traces import close
 from written_tick import WrittenTick, state_numbers
 
+pytestmark = pytest.mark.pure
+
 DT, START = 1e-3, 0.05
 FIRST = 51
 """First tick after the onset."""

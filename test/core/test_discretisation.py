@@ -22,6 +22,8 @@ from ftcm_core.recording.trace import Trace
 from ftcm_core.scenario import load
 from ftcm_core.simulation import simulate
 
+pytestmark = pytest.mark.pure
+
 DT = 1e-3
 PAGE = Path(__file__).resolve().parents[2] / "docs" / "discretisation.md"
 COLUMNS = [
@@ -242,6 +244,7 @@ def markdown(text: str) -> str:
     return f"| `{text}` | " + " | ".join(cells) + " |"
 
 
+@pytest.mark.nightly
 @pytest.mark.slow
 @pytest.mark.parametrize("text", documented())
 def test_documented_results(text: str) -> None:

@@ -21,6 +21,8 @@ from ftcm_core.signals import Measurement, ReferencePoint, Vector
 from ftcm_core.simulation import simulate
 from robot_matrices import mass_matrix
 
+pytestmark = pytest.mark.pure
+
 ROBOT, DT = Puma560(), 1e-3
 quick = settings(deadline=None, max_examples=200)
 errors, rates = st.floats(-4.0, 4.0), st.floats(-5.0, 5.0)

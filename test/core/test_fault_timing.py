@@ -24,6 +24,8 @@ from ftcm_core.simulation import simulate
 from ftcm_core.simulation.ground_truth import fault_signals, fault_sizes
 from traces import same
 
+pytestmark = pytest.mark.pure
+
 DT = 1e-3
 
 

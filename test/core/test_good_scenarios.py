@@ -26,6 +26,8 @@ from inputs import NOT_BAD, inputs, promised
 from traces import close
 from written_tick import WrittenTick, state_numbers
 
+pytestmark = pytest.mark.pure
+
 JOINTS = 3
 
 

@@ -19,6 +19,8 @@ from ftcm_core.signals import Vector
 from ftcm_core.simulation import simulate
 from plugins import registry_kept
 
+pytestmark = pytest.mark.pure
+
 QUIET = ["injection.disturbances=[]", "reference={type: sine, amplitude: 0.5, frequency: 0.5}"]
 ENCODER = "sensor={type: encoder, resolution: 1e-5, noise: 1e-5}"
 

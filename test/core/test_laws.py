@@ -32,6 +32,8 @@ sys.path.insert(0, str(Path(__file__).parents[1] / "reference"))
 import laws_matrix
 from robot_matrices import coriolis_matrix, mass_matrix
 
+pytestmark = pytest.mark.pure
+
 ROBOT, DT = Puma560(), 1e-3
 ZERO = (0.0, 0.0, 0.0)
 errors, rates = st.floats(-4.0, 4.0), st.floats(-5.0, 5.0)

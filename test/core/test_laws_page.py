@@ -80,6 +80,7 @@ def test_who_needs_an_observer_is_said() -> None:
 RUNS = {"One run each": [], "With an encoder and a delay": ["torque_delay=1", "sensor=encoder"]}
 
 
+@pytest.mark.nightly
 @pytest.mark.slow
 @pytest.mark.parametrize("heading", RUNS)
 @pytest.mark.parametrize("law", components("controller"))

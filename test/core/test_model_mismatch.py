@@ -21,6 +21,8 @@ from ftcm_core.simulation import simulate
 from plugins import robots_known, scenario_mapping
 from traces import rows_of, same
 
+pytestmark = pytest.mark.pure
+
 NOMINAL = Puma560()
 
 

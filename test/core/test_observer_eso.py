@@ -14,6 +14,8 @@ from ftcm_core.robots.puma560 import Puma560
 from observing import DT, PUSH, estimates, held, moved
 from plugins import ROBOTS
 
+pytestmark = pytest.mark.pure
+
 ROBOT = Puma560()
 every_robot = pytest.mark.parametrize("robot", ROBOTS.values(), ids=ROBOTS)
 

@@ -14,6 +14,8 @@ from ftcm_core.signals import Measurement
 from observing import DT, PUSH, Array, estimates, held, moved
 from plugins import ROBOTS
 
+pytestmark = pytest.mark.pure
+
 ROBOT = Puma560()
 
 

@@ -18,6 +18,8 @@ from observing import DT, PUSH, Array, estimates, held, moved
 from plugins import ROBOTS
 from robot_matrices import mass_matrix
 
+pytestmark = pytest.mark.pure
+
 ROBOT, L = Puma560(), 30.0
 FORMS = {"explicit": differentiate, "implicit": differentiate_implicit}
 

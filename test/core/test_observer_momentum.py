@@ -16,6 +16,8 @@ from observing import DT, PUSH, estimates, held, moved
 from plugins import ROBOTS
 from robot_matrices import coriolis_matrix, mass_matrix
 
+pytestmark = pytest.mark.pure
+
 every_robot = pytest.mark.parametrize("robot", ROBOTS.values(), ids=ROBOTS)
 ROBOT = Puma560()
 

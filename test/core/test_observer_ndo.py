@@ -15,6 +15,8 @@ from observing import DT, POSTURE, PUSH, estimates, held, moved
 from plugins import ROBOTS
 from robot_matrices import mass_matrix
 
+pytestmark = pytest.mark.pure
+
 ROBOT = Puma560()
 every_robot = pytest.mark.parametrize("robot", ROBOTS.values(), ids=ROBOTS)
 

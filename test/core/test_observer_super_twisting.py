@@ -18,6 +18,8 @@ from observing import DT, PUSH, Array, estimates, held
 from plugins import ROBOTS
 from robot_matrices import mass_matrix
 
+pytestmark = pytest.mark.pure
+
 ROBOT, L = Puma560(), 200.0
 FORMS = {"explicit": twist, "implicit": twist_implicit}
 every_form = pytest.mark.parametrize("form", FORMS)

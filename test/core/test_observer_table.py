@@ -12,6 +12,8 @@ import pytest
 from ftcm_core.registry import components
 from observer_table import COLUMNS, ROWS, measure
 
+pytestmark = pytest.mark.pure
+
 PAGE = Path(__file__).resolve().parents[2] / "docs" / "observers.md"
 
 
@@ -27,6 +29,7 @@ def documented() -> dict[str, list[list[float]]]:
     return rows
 
 
+@pytest.mark.nightly
 @pytest.mark.slow
 @pytest.mark.parametrize("text", documented())
 def test_documented_results(text: str) -> None:

@@ -13,6 +13,8 @@ from observing import DT, PUSH, Array, estimates, held
 from plugins import ROBOTS
 from robot_matrices import mass_matrix
 
+pytestmark = pytest.mark.pure
+
 L = 200.0
 FORMS = {"explicit": differentiate, "implicit": differentiate_implicit}
 every_form = pytest.mark.parametrize("form", FORMS)

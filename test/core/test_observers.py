@@ -23,6 +23,8 @@ from plugins import ROBOTS
 sys.path.insert(0, str(Path(__file__).parents[1] / "reference"))
 from robot_matrices import coriolis_matrix, mass_matrix
 
+pytestmark = pytest.mark.pure
+
 ROBOT, DT = Puma560(), 1e-3
 REST = (0.0, 0.0, 0.0)
 K1, K2 = 20000.0, 200.0

@@ -20,6 +20,8 @@ from ftcm_core.simulation import simulate
 from observing import DT, estimates, held, moved
 from plugins import ROBOTS, robots_known, scenario_mapping
 
+pytestmark = pytest.mark.pure
+
 LAWS = [
     name
     for name, law in components("controller").items()

@@ -29,6 +29,8 @@ from ftcm_core.controllers.smc import SMC
 from ftcm_core.errors import ParameterError
 from ftcm_core.numeric import sat, sgn, sig
 
+pytestmark = pytest.mark.pure
+
 DT = 1e-3
 quick = settings(deadline=None, max_examples=200)
 errors, rates = st.floats(-4.0, 4.0), st.floats(-5.0, 5.0)

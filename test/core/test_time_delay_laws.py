@@ -21,6 +21,8 @@ from ftcm_core.signals import Measurement, ReferencePoint
 from ftcm_core.simulation import simulate
 from robot_matrices import mass_matrix
 
+pytestmark = pytest.mark.pure
+
 DT = 1e-3
 
 

@@ -99,7 +99,7 @@ def test_compiled_stages_give_the_compiled_run(
 ) -> None:
     pytest.importorskip("numba")
     scenario = from_mapping(FAULTY)
-    bag = over_the_graph(experiment, tmp_path, scenario, nodes, "--stages", "compiled")
+    bag = over_the_graph(experiment, tmp_path, scenario, nodes, "--stages", "compiled", "--patience", "60")
     assert {bag.nodes[n]["stages"] for n in bag.nodes if n != "recorder"} == {"compiled"}
     assert same(bag.trace, compiled.simulate(scenario))
 

@@ -468,6 +468,7 @@ def test_a_suspended_plant_does_not_catch_up_in_a_burst(graph: Graph, tmp_path: 
     before = graph.health["plant"]
     health = graph.until("plant", "tick", lambda v: int(v) > int(before["tick"]) + 50)
     ticks = int(health["tick"]) + int(health["plant_overrun"])
-    assert ticks == pytest.approx(float(health["elapsed_seconds"]) / 0.01, abs=3)
+    # A burst would be 150 more; what the report says of ticks and of time is of two moments.
+    assert ticks == pytest.approx(float(health["elapsed_seconds"]) / 0.01, abs=30)
     assert int(health["tick"]) * 0.01 < float(health["elapsed_seconds"]) - 1.45
     assert health["state"] == "running"

@@ -146,11 +146,16 @@ ROUNDS = {
     "recorder:exception injector:SIGKILL",
 }
 """Experiments: a fault in the run of each controller; together each node and fault in both modes."""
+MORE = (
+    "2 lockstep", "2 real_time", "3 real_time", "1 composed lockstep", "2 composed lockstep",
+    "1 composed real_time",
+)  # fmt: skip
+MARKS = {name: pytest.mark.nightly for name in MORE} | {"quick composed lockstep": pytest.mark.versions}
 
 
 @pytest.mark.parametrize(
     "name",
-    [pytest.param(n, marks=pytest.mark.versions if n == "quick composed lockstep" else ()) for n in ROUNDS],
+    [pytest.param(n, marks=MARKS.get(n, ())) for n in ROUNDS],
 )
 def test_a_fault_ends_its_run_only(
     start: Start,
