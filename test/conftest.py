@@ -8,6 +8,10 @@ from importlib import metadata
 from pathlib import Path
 
 import pytest
+from hypothesis import settings
+
+settings.register_profile("ftcm", deadline=None)  # how long an input takes says nothing of the code
+settings.load_profile("ftcm")
 
 ROOT = Path(__file__).resolve().parents[1]
 
