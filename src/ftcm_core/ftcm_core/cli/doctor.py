@@ -187,7 +187,7 @@ def extras() -> list[Finding]:
             advice += f", or the extra ftcm_core[{extra}]"
         version = version_of(name) or version_of(module)
         if module not in reasons:
-            findings.append(Finding(name, OK, version))
+            findings.append(Finding(name, OK, version or "of no known version"))
         elif version:
             findings.append(
                 Finding(name, WARNING, f"{version} cannot be imported: {reasons[module]}", advice)
