@@ -331,7 +331,7 @@ def real_time_rows(folder: Path, repetitions: int, seconds: float, processes: fl
     """The graph at 1 kHz, composed and as processes, beside a bare loop and a bare chain, all in turn."""
     lengths = {variant: processes if "processes" in variant else seconds for variant in VARIANTS}
     lockstep = {
-        s: experiment(folder, f"lockstep{s:g}", "--set", f"duration={s:g}") for s in (seconds, processes)
+        s: experiment(folder, f"lockstep{s:g}", "--set", f"duration={s:g}") for s in {seconds, processes}
     }
     runs: dict[str, list[dict[str, Any]]] = {variant: [] for variant in VARIANTS}
     loop: list[float] = []
