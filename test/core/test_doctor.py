@@ -12,6 +12,7 @@ import subprocess
 import sys
 from importlib import metadata
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import pytest
@@ -236,7 +237,7 @@ def test_a_coarse_clock_is_a_warning(monkeypatch: pytest.MonkeyPatch) -> None:
 def test_room_in_shared_memory_and_on_the_disk(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
     assert doctor.shared_memory(tmp_path / "none").status == WARNING
     for free, of_memory, of_disk in ((1e12, OK, OK), (1e8, OK, WARNING), (1e6, WARNING, WARNING)):
-        usage = shutil._ntuple_diskusage(int(2e12), int(2e12 - free), int(free))  # type: ignore[attr-defined]
+        usage = SimpleNamespace(total=int(2e12), used=int(2e12 - free), free=int(free))
         monkeypatch.setattr(shutil, "disk_usage", lambda folder, usage=usage: usage)
         assert doctor.shared_memory(tmp_path).status == of_memory
         assert doctor.disk(tmp_path).status == of_disk

@@ -359,7 +359,7 @@ def test_a_path_is_relative_to_the_scenario(tmp_path: Path, monkeypatch: pytest.
     text = scenario_text(tmp_path, "arms/arm.urdf", plant={"robot": again}, model=again)
     monkeypatch.chdir(tmp_path / "arms")
     scenario = load(text)
-    assert [x.file for x in (scenario.robot, scenario.model)] == [absolute] * 2  # type: ignore[attr-defined]
+    assert [x.to_mapping()["file"] for x in (scenario.robot, scenario.model)] == [absolute] * 2
     assert from_mapping(scenario.to_mapping()) == scenario
     named = load(text, ["robot={type: urdf, file: arm.urdf}", "plant=null", "model=null"])
     assert named.robot.values["file"] == absolute

@@ -86,7 +86,7 @@ def test_every_series_is_an_array_that_is_declared_or_a_value_of_the_diagnostics
     seen = set()
     for name in sources(root):
         if name.startswith("/diagnostics/"):
-            robot, node, key = re.fullmatch(r"/diagnostics/(\w+)/(\w+): tick/(\w+)", name).groups()  # type: ignore[union-attr]
+            ((robot, node, key),) = re.findall(r"^/diagnostics/(\w+)/(\w+): tick/(\w+)$", name)
             assert (robot, node in ALL_NODES) == (ROBOT.type_name, True)
             assert key == "level" or (node == "plant" and key in layouts.HEALTH)
             continue
@@ -184,7 +184,7 @@ def test_every_message_path_is_an_array_that_is_declared(layout: dict[str, Any])
     seen = set()
     for name, panel in layout["configById"].items():
         for path in panel.get("paths", []):
-            topic, array, number = re.fullmatch(r"(/\w+)\.(\w+)\[(\d+)\]", path["value"]).groups()  # type: ignore[union-attr]
+            ((topic, array, number),) = re.findall(r"^(/\w+)\.(\w+)\[(\d+)\]$", path["value"])
             assert (topic, array) in FILLED
             assert int(number) < len(ROBOT.joint_names)
             assert panel["foxglovePanelTitle"].endswith(ROBOT.joint_names[int(number)])

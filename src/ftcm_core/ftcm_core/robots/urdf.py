@@ -73,15 +73,15 @@ class Urdf(Robot):
         if not self.file.startswith(PACKAGE):
             object.__setattr__(self, "file", os.path.abspath(self.file))
         try:
-            self.arm  # noqa: B018  # reads it
+            joints = self.joints  # reads the file
         except ParameterError as error:
             raise ParameterError(f"file: {error}") from None
         try:
-            self.check_joints(self.joints)
+            self.check_joints(joints)
         except ParameterError:  # the scenario says so
             return
         for turn in range(8):
-            q = tuple([(0.7 * turn * (j + 1)) % 3.0 - 1.5 if turn else 0.0 for j in range(self.joints)])
+            q = tuple([(0.7 * turn * (j + 1)) % 3.0 - 1.5 if turn else 0.0 for j in range(joints)])
             joint = self._weightless(q)
             if joint is not None:
                 moves = "a body that cannot exist" if self._links[joint].body.m else "no mass"
