@@ -539,7 +539,8 @@ def test_limits_of_the_arms_scenarios_are_those_of_their_files(name: str) -> Non
     """Torques and speeds, and positions where the scenario has them."""
     need_arms()
     scenario = load(str(ROOT / "config" / "arms" / f"{name}.yaml"))
-    joints, limits = scenario.robot.arm.joints, scenario.limits  # type: ignore[attr-defined]
+    assert isinstance(scenario.robot, Urdf)
+    joints, limits = scenario.robot.arm.joints, scenario.limits
     assert limits.torque == tuple(x.effort for x in joints)
     assert limits.velocity == tuple(x.velocity for x in joints)
     if limits.lower is not None:

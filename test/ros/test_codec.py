@@ -5,6 +5,7 @@ from __future__ import annotations
 
 import contextlib
 import struct
+from unittest import mock
 
 import numpy as np
 import pytest
@@ -85,8 +86,9 @@ def test_messages_like_the_last_foreign_one_are_read_without_names_and_others_st
         assert codec.decode(data) == JointStateCodec(NAMES).decode(data)
     if len(filled) == 3:  # else rclpy leaves bytes behind the end, and the length says nothing
         codec.decode(message(order, (1.0, 2.0, 3.0, 4.0)))
-        codec._decode_by_name = None  # type: ignore[method-assign,assignment]
-        assert codec.decode(message(order, values)).effort == tuple(values[order.index(n)] for n in NAMES)
+        with mock.patch.object(codec, "_decode_by_name", None):
+            sample = codec.decode(message(order, values))
+        assert sample.effort == tuple(values[order.index(n)] for n in NAMES)
 
 
 def test_big_endian_messages_are_read() -> None:

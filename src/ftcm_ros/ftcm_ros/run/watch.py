@@ -32,7 +32,7 @@ from ftcm_ros.transport.plane import message_class, qos
 from ftcm_ros.transport.topics import CHANGES, DIAGNOSTICS, FAULTS, SCENARIO, Topic
 
 LOOK_SECONDS = 0.1
-"""How often messages are taken, s."""
+"""How often messages are taken, s: at its own pace, so that a run at 1 kHz does not wake it."""
 SCREEN_SECONDS, LINE_SECONDS = 0.25, 1.0
 """How often it is shown, s: on a terminal as a screen, elsewhere as a line."""
 REPORT_SECONDS = 2.0
