@@ -191,6 +191,45 @@ def test_power_is_the_rate_of_energy(name: str, tmp_path: Path) -> None:
         assert power == pytest.approx(kinetic + np.dot(v, robot.gravity(q)), rel=1e-6, abs=1e-6)
 
 
+@pytest.mark.parametrize("name", MADE_UP)
+def test_the_tip_moves_as_the_frames_say_and_as_a_force_on_it_is_felt(name: str, tmp_path: Path) -> None:
+    robot = made_up(tmp_path, name, payload_distance=0.1)
+    slides = [joint.type == PRISMATIC for joint in robot.arm.joints]
+    for q, _, _ in states(robot.joints, 5):
+        *joints, tip = robot.forward_kinematics(q)
+        assert len(joints) == robot.joints
+        for frame in (*joints, tip):
+            axes = np.array([frame.x, frame.y, frame.z])
+            assert axes @ axes.T == pytest.approx(np.eye(3), abs=1e-12)
+            assert np.linalg.det(axes) == pytest.approx(1.0)
+        lever = [np.subtract(tip.origin, frame.origin) for frame in joints]
+        jacobian = np.array(
+            [
+                frame.z if straight else np.cross(frame.z, arm)
+                for frame, arm, straight in zip(joints, lever, slides)
+            ]
+        )
+        for force in np.eye(3):
+            assert robot.tip_torque(q, tuple(force.tolist())) == pytest.approx(jacobian @ force, abs=1e-12)
+        for j in range(robot.joints):
+            ahead, behind = (
+                robot.forward_kinematics(tuple(x + d * (i == j) for i, x in enumerate(q)))[-1].origin
+                for d in (1e-5, -1e-5)
+            )
+            moves = np.subtract(ahead, behind) / 2e-5
+            assert moves == pytest.approx(jacobian[j], abs=1e-9), "its derivative, off by h²/6 of the third"
+
+
+def test_the_pumas_frames_are_those_of_its_file() -> None:
+    for q, _, _ in states(3, 5):
+        ours, files = (
+            np.array([(frame.origin, frame.z) for frame in robot.forward_kinematics(q)])
+            for robot in (Puma560(), Urdf(tip="tip"))
+        )
+        assert ours[:3] == pytest.approx(files[:3], abs=1e-15)
+        assert ours[3, 0] == pytest.approx(files[3, 0], abs=1e-15)
+
+
 def test_an_axis_that_is_turned_over_turns_the_other_way(tmp_path: Path) -> None:
     """A joint about -z at q is one about z at -q."""
     one = Urdf(file=write(tmp_path, arm_text([REVOLUTE, PRISMATIC], 7, axis="0.2 -0.3 0.9"), "one.urdf"))

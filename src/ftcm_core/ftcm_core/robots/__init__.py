@@ -14,6 +14,7 @@ from operator import add, sub
 
 from ftcm_core.params import specs
 from ftcm_core.registry import Component
+from ftcm_core.robots.serial_chain import Frame
 from ftcm_core.signals import Vector
 
 RATE_STEP = 1e-5
@@ -66,6 +67,18 @@ class Robot(Component):
             force: F, its three components in the frame of the base, N.
         """
         del q, force
+        return None
+
+    def forward_kinematics(self, q: Vector) -> tuple[Frame, ...] | None:
+        """Where the joints' frames and the tip stand in that of the base; None where the robot does not say.
+
+        Args:
+            q: joint positions, rad.
+
+        Returns:
+            One frame per joint, which turns about its z axis or slides along it, and last that of the tip.
+        """
+        del q
         return None
 
     def inertia_rate_torque(self, q: Vector, v: Vector) -> Vector:

@@ -21,7 +21,7 @@ from typing import ClassVar, NamedTuple
 from ftcm_core.errors import ParameterError
 from ftcm_core.params import param, per_joint
 from ftcm_core.registry import register
-from ftcm_core.robots import Robot, friction
+from ftcm_core.robots import Robot, friction, serial_chain
 from ftcm_core.signals import Vector
 
 # Armstrong's inertial constants, kg·m²; those that only concern joints 4 to 6 drop out.
@@ -34,6 +34,14 @@ G1, G2, G3, G4, G5 = -37.2, -8.44, 1.02, 0.249, -0.0282
 # Modified Denavit-Hartenberg lengths, m.
 A2, A3, D2, D3, D4 = 0.4318, -0.0203, 0.2435, -0.0934, 0.4331
 GRAVITY = 9.81
+
+_NO_BODY = serial_chain.Body(*(0.0,) * 10)
+CHAIN = (
+    serial_chain.Link(0, 0.0, 1.0, 0.0, 0.0, 0.0, 0.0, _NO_BODY),
+    serial_chain.Link(0, 0.0, 0.0, -1.0, 0.0, D2, 0.0, _NO_BODY),
+    serial_chain.Link(0, 0.0, 1.0, 0.0, A2, 0.0, D3, _NO_BODY),
+)
+"""The joints' frames, in which the links of ``config/robots/puma560.urdf`` are given."""
 
 
 class Terms(NamedTuple):
@@ -415,6 +423,10 @@ class Puma560(Robot):
         out, up = A2 * cos(q2) + out3, up3 - A2 * sin(q2)  # from the shoulder, in the plane of the arm
         forwards, sideways = c1 * fx + s1 * fy, c1 * fy - s1 * fx
         return out * sideways - side * forwards, up * forwards - out * fz, up3 * forwards - out3 * fz
+
+    def forward_kinematics(self, q: Vector) -> tuple[serial_chain.Frame, ...]:
+        """Where the joints' frames, and last the tip, stand in that of :meth:`tip_torque`."""
+        return serial_chain.frames(serial_chain.places(CHAIN, q), 0.0, (A3, -D4 - self.payload_distance, 0.0))
 
 
 def links(robot: Puma560 | type[Puma560]) -> list[Link]:

@@ -75,6 +75,48 @@ def places(links: tuple[Link, ...], q: Vector) -> list[Place]:
     return found
 
 
+class Frame(NamedTuple):
+    """Where a frame stands in that of the base."""
+
+    origin: Vector
+    """m."""
+    x: Vector
+    """Direction of its x axis; likewise y, z."""
+    y: Vector
+    z: Vector
+
+
+def frames(at: list[Place], turn: float, tip: Vector) -> tuple[Frame, ...]:
+    """Return where each joint's frame stands in that of the base, and last the tip, turned as the last one.
+
+    Args:
+        at: where each stands in the one before, from :func:`places`.
+        turn: about z, of the frame that the first is seen from, in that of the base, rad.
+        tip: in the frame of the last joint, m.
+    """
+    found = [
+        Frame((0.0, 0.0, 0.0), (cos(turn), sin(turn), 0.0), (-sin(turn), cos(turn), 0.0), (0.0, 0.0, 1.0))
+    ]
+    for c, s, ca, sa, *origin in at:
+        above = found[-1]
+        _, x, y, z = above
+        y, z = combined(ca, y, sa, z), combined(ca, z, -sa, y)
+        found.append(Frame(point(above, tuple(origin)), combined(c, x, s, y), combined(c, y, -s, x), z))
+    last = found[-1]
+    return (*found[1:], last._replace(origin=point(last, tip)))
+
+
+def point(frame: Frame, place: Vector) -> Vector:
+    """A place that is given in a frame, in that of the base, m."""
+    a, b, c = place
+    return tuple([o + a * x + b * y + c * z for o, x, y, z in zip(*frame)])
+
+
+def combined(a: float, v: Vector, b: float, w: Vector) -> Vector:
+    """The vector a v + b w."""
+    return tuple([a * x + b * y for x, y in zip(v, w)])
+
+
 def newton_euler(links: tuple[Link, ...], at: list[Place], v: Vector, a: Vector, gravity: float) -> Vector:
     """Torques of a motion, N·m, or forces of the joints that slide, N.
 

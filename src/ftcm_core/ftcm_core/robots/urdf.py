@@ -11,7 +11,16 @@ from ftcm_core.errors import ParameterError
 from ftcm_core.params import param, per_joint
 from ftcm_core.registry import register
 from ftcm_core.robots import Robot, friction, solve
-from ftcm_core.robots.serial_chain import Body, Link, force_torque, mass_matrix, newton_euler, places
+from ftcm_core.robots.serial_chain import (
+    Body,
+    Frame,
+    Link,
+    force_torque,
+    frames,
+    mass_matrix,
+    newton_euler,
+    places,
+)
 from ftcm_core.robots.urdf_file import PACKAGE, Arm, read_arm
 from ftcm_core.signals import Vector
 
@@ -194,3 +203,7 @@ class Urdf(Robot):
         c, s = cos(self.arm.base_turn), sin(self.arm.base_turn)
         links = self._links
         return force_torque(links, places(links, q), self._tip, (c * fx + s * fy, c * fy - s * fx, fz))
+
+    def forward_kinematics(self, q: Vector) -> tuple[Frame, ...]:
+        """Where the joints' frames, and last the payload, stand in that of the file's base."""
+        return frames(places(self._links, q), self.arm.base_turn, self._tip)
