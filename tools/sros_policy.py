@@ -11,7 +11,7 @@ from xml.etree import ElementTree
 
 from ftcm_ros.parameters.node_parameters import ALL_NODES
 from ftcm_ros.run.local_nodes import COMPOSED
-from ftcm_ros.run.view import SHOWN, WATCHED
+from ftcm_ros.run.view import DRAWN, SHOWN, WATCHED
 from ftcm_ros.transport.topics import DIAGNOSTICS, TOPICS
 from topics_page import write_or_check
 
@@ -60,7 +60,7 @@ def rules(name: str) -> dict[tuple[str, str], list[str]]:
         subscribe.add(DIAGNOSTICS.name)
         request = {f"/{node}/{service}" for node in ALL_NODES for service in DRIVEN}
     elif name == VIEWER:
-        subscribe = {_absolute(topic.name) for topic in (*WATCHED, *SHOWN)}
+        subscribe = {_absolute(topic.name) for topic in (*WATCHED, *SHOWN, *DRAWN)}
     else:
         publish |= {f"/{name}/transition_event", *(_absolute(t.name) for t in TOPICS if name in t.publishers)}
         subscribe = {_absolute(t.name) for t in TOPICS if name in t.subscribers}

@@ -10,7 +10,9 @@ setup(
     license="Apache-2.0",
     packages=find_packages(include=["ftcm_core", "ftcm_core.*"]),
     # ftcm_core/config is a link to the workspace's config/: one copy of each scenario.
-    package_data={"ftcm_core": ["py.typed", "config/**/*.yaml", "config/**/*.urdf", "config/layouts/*"]},
+    package_data={
+        "ftcm_core": ["py.typed", "config/**/*.yaml", "config/**/*.urdf", "config/layouts/*", "config/rviz/*"]
+    },
     data_files=[
         ("share/ament_index/resource_index/packages", ["resource/ftcm_core"]),
         ("share/ftcm_core", ["package.xml"]),
@@ -21,6 +23,7 @@ setup(
     extras_require={
         "figures": ["matplotlib>=3.6"],
         "compiled": ["numba>=0.61"],
+        "web": ["viser>=1.1", "websockets>=15"],
         "arms": ["example-robot-data>=4.4"],
     },
     entry_points={"console_scripts": ["ftcm = ftcm_core.cli:main"]},

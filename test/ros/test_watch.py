@@ -23,7 +23,7 @@ from ftcm_core.scenario import load
 from ftcm_core.simulation import simulate
 from ftcm_ros.bags.reader import read_bag
 from ftcm_ros.parameters.node_parameters import ALL_NODES, NODES
-from ftcm_ros.run.view import KEPT, SHOWN, WATCHED, Sample, View
+from ftcm_ros.run.view import DRAWN, KEPT, SHOWN, WATCHED, Sample, View
 from ftcm_ros.transport.topics import DETECTION, ESTIMATE, JOINT_STATES, REFERENCE, TORQUES
 from programs import program
 from sros_policy import VIEWER, rules
@@ -193,7 +193,7 @@ def test_with_security_it_may_listen_and_nothing_else() -> None:
     assert may["topics", "publish"] == ["/parameter_events", "/rosout"]
     assert may["services", "request"] == []
     assert {name.removeprefix("/") for name in may["topics", "subscribe"]} == {
-        topic.name.removeprefix("/") for topic in (*SHOWN, *WATCHED)
+        topic.name.removeprefix("/") for topic in (*SHOWN, *WATCHED, *DRAWN)
     }
 
 

@@ -33,6 +33,7 @@ NEEDED = {"numpy": "1.26", "PyYAML": "6.0.1", "tabulate": "0.9", "tqdm": "4.66"}
 EXTRAS = {
     "matplotlib": ("matplotlib", "figures need it", "figures"),
     "numba": ("numba", "compiled runs need it", "compiled"),
+    "viser": ("viser", "ftcm watch --web needs it", "web"),
     "pinocchio": ("pin", "only tests need it, for an independent model", ""),
     "mujoco": ("mujoco", "only tests need it, for an independent model", ""),
 }

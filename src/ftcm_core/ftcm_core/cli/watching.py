@@ -8,6 +8,9 @@ import argparse
 from ftcm_core.cli.brought import brought
 from ftcm_core.errors import FtcmError
 
+HOST, PORT = "127.0.0.1", 8080
+"""Where the page in the browser is, unless another address is given."""
+
 
 def watch_options(parser: argparse.ArgumentParser) -> None:
     """Declare the options of the command."""
@@ -21,6 +24,37 @@ def watch_options(parser: argparse.ArgumentParser) -> None:
         "--timeout", type=float, default=10.0, metavar="SECONDS",
         help="of --once: how long to wait for a node that says something (default: 10)",
     )  # fmt: skip
+    web = parser.add_argument_group("in a browser")
+    web.add_argument(
+        "--web", action="store_true",
+        help="serve a page with the arm, moving plots and tables; needs the extra ftcm_core[web]",
+    )  # fmt: skip
+    web.add_argument(
+        "--control", action="store_true",
+        help="with buttons that change the run: arm and clear faults, swap the law, pause",
+    )  # fmt: skip
+    web.add_argument("--host", help=f"address to serve at; default: {HOST}, which only this machine reaches")
+    web.add_argument("--port", type=int, help=f"default: {PORT}")
+
+
+def check_watch(options: argparse.Namespace) -> None:
+    """Check that options fit each other, and fill in what was not given.
+
+    Raises:
+        FtcmError: they do not.
+    """
+    beside = [
+        f"--{name}" for name in ("control", "host", "port") if getattr(options, name) not in (None, False)
+    ]
+    if beside and not options.web:
+        raise FtcmError(f"{beside[0]} is for a browser; expected --web beside it")
+    for name in ("once", "health"):
+        if options.web and getattr(options, name):
+            raise FtcmError(f"--web and --{name}; expected one of them")
+    options.host = HOST if options.host is None else options.host
+    options.port = PORT if options.port is None else options.port
+    if not 0 < options.port < 65536:
+        raise FtcmError(f"--port {options.port}; expected 1 to 65535")
 
 
 def watch_command(arguments: argparse.Namespace) -> int:

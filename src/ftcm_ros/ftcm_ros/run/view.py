@@ -5,7 +5,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import yaml
 
@@ -24,6 +24,8 @@ from ftcm_ros.transport.topics import (
     REFERENCE,
     SCENARIO,
     TORQUES,
+    TRUE_STATE,
+    Topic,
 )
 
 SILENT_SECONDS = 2.5
@@ -32,6 +34,8 @@ LEVELS = ("ok", "warn", "error", "stale")
 """Of diagnostics, by their number."""
 SHOWN = (JOINT_STATES, REFERENCE, TORQUES, ESTIMATE, DISTURBANCE, DETECTION)
 """Data topics of which the newest message is shown."""
+DRAWN = (TRUE_STATE,)
+"""Those that are only needed to draw the arm."""
 WATCHED = (DIAGNOSTICS, CHANGES, FAULTS, SCENARIO)
 """What else is listened to."""
 KEPT = 20
@@ -64,20 +68,50 @@ class Health(NamedTuple):
     """Steady time, s."""
 
 
+class Values(NamedTuple):
+    """What is shown of a joint, the newest; not-a-number where nothing says it."""
+
+    error: float
+    """Measured less desired position in one and the same tick, rad."""
+    command: float
+    """N·m; likewise what follows."""
+    drive: float
+    disturbance: float
+    estimate: float
+    """Of the disturbance: minus what is published."""
+    residual: float
+
+
+class Fault(NamedTuple):
+    """What has been told of a fault."""
+
+    onset: float
+    """s."""
+    end: float
+    joint: int | None = None
+    """Its number, from 1 on; 0: all; None: it is of no joint."""
+
+
 class View:
     """What has been heard of a run, and how it is shown."""
 
     def __init__(self) -> None:
         """Nothing yet."""
         self.health: dict[str, Health] = {}
+        self.runs = 0
+        """How many runs it has begun to listen to."""
         self.forget()
 
     def forget(self) -> None:
         """Forget the run, not the nodes: another begins, or none."""
+        self.runs += 1
         self._samples: dict[str, dict[int, Sample]] = {}
-        self._faults: dict[str, tuple[float, float]] = {}
-        self._components: dict[str, str] = {}
+        self._faults: dict[str, Fault] = {}
+        self.components: dict[str, str] = {}
+        """Names of the components in force, by kind."""
         self._scenario = ""
+        self.scenario: dict[str, Any] = {}
+        """The scenario as plain data, where it has been heard."""
         self.expected: tuple[str, ...] = ()
         """Nodes that the run has, where that is known."""
 
@@ -100,13 +134,13 @@ class View:
         while len(kept) > KEPT:
             del kept[min(kept)]
 
-    def hear_fault(self, label: str, onset: float, end: float) -> None:
-        """Take in from when to when a fault acts, s."""
-        self._faults[label] = onset, end
+    def hear_fault(self, label: str, onset: float, end: float, joint: int | None = None) -> None:
+        """Take in from when to when a fault acts (s), and on which joint (from 1 on; 0: all; None: none)."""
+        self._faults[label] = Fault(onset, end, joint)
 
     def hear_component(self, kind: str, name: str) -> None:
         """Take in which component is in force."""
-        self._components[kind] = name
+        self.components[kind] = name
 
     def hear_scenario(self, text: str) -> None:
         """Take in the scenario, in YAML: it says which nodes the run has."""
@@ -115,7 +149,7 @@ class View:
         except yaml.YAMLError:
             return
         if isinstance(data, dict):
-            self._scenario = str(data.get("name", ""))
+            self.scenario, self._scenario = data, str(data.get("name", ""))
             self.expected = ALL_NODES if data.get("detector") else NODES
 
     # What is known.
@@ -161,11 +195,33 @@ class View:
         tick = max(both)
         return measured[tick].of("position", joint) - desired[tick].of("position", joint)
 
+    def values(self, joint: str) -> Values:
+        """What is shown of a joint."""
+        topics = (TORQUES, JOINT_STATES, DISTURBANCE, ESTIMATE, DETECTION)
+        command, drive, disturbance, estimate, residual = [
+            self.newest(topic.name, "effort", joint) for topic in topics
+        ]
+        return Values(self.error(joint), command, drive, disturbance, -estimate, residual)
+
+    def positions(self, *topics: Topic) -> tuple[float, ...] | None:
+        """Newest joint positions of the first of these topics that tells them, rad; None where none does.
+
+        A topic that has said nothing in the newest ticks is passed over: it speaks now and then.
+        """
+        for topic in topics:
+            kept, measured = (self._samples.get(t.name) for t in (topic, JOINT_STATES))
+            if kept and measured and max(kept) >= min(measured):
+                sample = kept[max(kept)]
+                found = tuple([sample.of("position", joint) for joint in self.joints])
+                if all(map(math.isfinite, found)):
+                    return found
+        return None
+
     def acting(self) -> list[str]:
         """Faults that act now, and since when; until then, when they will."""
         now = self.time
         said = []
-        for label, (onset, end) in sorted(self._faults.items()):
+        for label, (onset, end, _) in sorted(self._faults.items()):
             if onset >= NEVER:
                 said.append(f"{label} waits")
             elif now is None or now <= onset:
@@ -177,6 +233,13 @@ class View:
             else:
                 said.append(f"{label} is over since t = {end:g} s")
         return said
+
+    def faulty(self) -> set[str]:
+        """Joints on which a fault acts now."""
+        now = self.time
+        act = [f for f in self._faults.values() if now is not None and f.onset < now <= f.end]
+        broken = {fault.joint for fault in act}
+        return {joint for n, joint in enumerate(self.joints, 1) if not broken.isdisjoint((0, n))}
 
     def alarms(self) -> dict[str, str]:
         """Joints with an alarm, and what the detector says of them."""
@@ -197,26 +260,32 @@ class View:
             now: steady time, s.
             where: the domain, in words.
         """
-        lines = [self._heading(where), "", *self._nodes(now)]
+        rows = self.nodes(now)
+        nodes = (
+            _aligned(rows, left=(0, 1, 6)) if len(rows) > 1 else ["no node of the suite says anything yet"]
+        )
+        lines = [self.heading(where), "", *nodes]
         if self.joints:
             lines += ["", *self._joints()]
         if acting := self.acting():
             lines += ["", "faults: " + "; ".join(acting)]
         return "\n".join(lines)
 
-    def _heading(self, where: str) -> str:
+    def heading(self, where: str) -> str:
+        """Return which run it is, and how far."""
         plant = self.health.get("plant")
         values = plant.values if plant else {}
         words = ["ftcm watch", where, self._scenario, values.get("mode", "")]
-        words += [f"{kind} {name}" for kind, name in sorted(self._components.items())]
+        words += [f"{kind} {name}" for kind, name in sorted(self.components.items())]
         if self.time is not None:
             words.append(f"t = {self.time:.3f} s")
         if "last_tick" in values:
             words.append(f"tick {values.get('tick', '?')} of {values['last_tick']}")
         return "  ".join(filter(None, words))
 
-    def _nodes(self, now: float) -> list[str]:
-        rows = [("node", "level", "rate Hz", "ticks", "missed", "refused", "says")]
+    def nodes(self, now: float) -> list[tuple[str, ...]]:
+        """Return a row of text for each node, below a row of headings."""
+        rows: list[tuple[str, ...]] = [("node", "level", "rate Hz", "ticks", "missed", "refused", "says")]
         for node in ALL_NODES:
             if node not in self.health:
                 if node in self.expected:
@@ -238,12 +307,10 @@ class View:
                     message,
                 )
             )
-        if len(rows) == 1:
-            return ["no node of the suite says anything yet"]
-        return _aligned(rows, left=(0, 1, 6))
+        return rows
 
     def _joints(self) -> list[str]:
-        rows = [
+        rows: list[tuple[str, ...]] = [
             (
                 "joint",
                 "error rad",
@@ -257,18 +324,7 @@ class View:
         ]
         alarms = self.alarms()
         for joint in self.joints:
-            rows.append(
-                (
-                    joint,
-                    _number(self.error(joint)),
-                    _number(self.newest(TORQUES.name, "effort", joint)),
-                    _number(self.newest(JOINT_STATES.name, "effort", joint)),
-                    _number(self.newest(DISTURBANCE.name, "effort", joint)),
-                    _number(-self.newest(ESTIMATE.name, "effort", joint)),
-                    _number(self.newest(DETECTION.name, "effort", joint)),
-                    alarms.get(joint, ""),
-                )
-            )
+            rows.append((joint, *map(number, self.values(joint)), alarms.get(joint, "")))
         return _aligned(rows, left=(0, 7))
 
     def line(self, now: float) -> str:
@@ -283,8 +339,8 @@ class View:
             f"{plant.values.get('rate_hz', '?')} Hz",
             f"missed {plant.values.get('missed_deadlines', '?')}",
         ]
-        errors = [_number(self.error(joint)) for joint in self.joints]
-        torques = [_number(self.newest(TORQUES.name, "effort", joint)) for joint in self.joints]
+        errors = [number(self.error(joint)) for joint in self.joints]
+        torques = [number(self.newest(TORQUES.name, "effort", joint)) for joint in self.joints]
         for name, numbers, unit in (("e", errors, "rad"), ("u", torques, "N·m")):
             if any(numbers):
                 said.append(f"{name} {' '.join(numbers)} {unit}")
@@ -298,8 +354,8 @@ class View:
         return "; ".join(said)
 
 
-def _number(value: float) -> str:
-    """Four digits; nothing for not-a-number."""
+def number(value: float) -> str:
+    """Return four digits; nothing for not-a-number."""
     return "" if math.isnan(value) else f"{value:.4g}"
 
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The command ``watch``: shows a run that is on, in the terminal, and changes nothing of it.
+"""The command ``watch``: shows a run that is on, in the terminal or in a browser, and changes nothing of it.
 
 It publishes nothing of the suite's. Its readers of data topics are best effort and of a small depth, so that
 no writer waits for them; nothing is done per message, the newest are taken now and then. But for
@@ -10,6 +10,7 @@ counts its readers.
 from __future__ import annotations
 
 import argparse
+import json
 import os
 import shutil
 import signal
@@ -23,8 +24,9 @@ from rclpy.node import Node
 from rclpy.qos import QoSProfile, ReliabilityPolicy
 
 from ftcm_core.cli.output import drop_stdout
-from ftcm_core.cli.watching import watch_options
+from ftcm_core.cli.watching import check_watch, watch_options
 from ftcm_core.errors import FtcmError
+from ftcm_core.registry import load_plugins
 from ftcm_core.signals import NANOSECONDS
 from ftcm_ros.run.view import SHOWN, Sample, View
 from ftcm_ros.transport.joining import join_as
@@ -68,8 +70,15 @@ class Reader:
 class Watch:
     """The readers, and what they have heard."""
 
-    def __init__(self, node: Node, *, health_only: bool = False) -> None:
-        """Listen to the nodes' reports."""
+    def __init__(self, node: Node, *, health_only: bool = False, topics: Sequence[Topic] = SHOWN) -> None:
+        """Listen to the nodes' reports.
+
+        Args:
+            node: with which to listen.
+            health_only: whether data topics are left alone.
+            topics: the data topics that are read while a run is on.
+        """
+        self._data = () if health_only else topics
         self.view = View()
         self._node, self.health_only = node, health_only
         self._reports = Reader(node, DIAGNOSTICS, self._on_diagnostics)
@@ -98,7 +107,7 @@ class Watch:
             (FAULTS, self._on_fault),
             (SCENARIO, lambda message: self.view.hear_scenario(message.data)),
         ]
-        return events if self.health_only else [*events, *((topic, self._taker(topic)) for topic in SHOWN)]
+        return [*events, *((topic, self._taker(topic)) for topic in self._data)]
 
     def _on_diagnostics(self, message: Any) -> None:
         for status in message.status:
@@ -116,7 +125,8 @@ class Watch:
         for status in message.status:
             values = {v.key: v.value for v in status.values}
             if {"onset", "end"} <= values.keys():
-                self.view.hear_fault(status.name, float(values["onset"]), float(values["end"]))
+                joint = json.loads(values.get("fault", "{}")).get("joint")
+                self.view.hear_fault(status.name, float(values["onset"]), float(values["end"]), joint)
 
     def _taker(self, topic: Topic) -> Callable[[Any], None]:
         def hear(message: Any) -> None:
@@ -133,12 +143,16 @@ def watch(options: argparse.Namespace) -> int:
     """Show a run until the user ends it; return the exit status.
 
     Raises:
-        FtcmError: ROS cannot start; with ``--once``, no node says anything.
+        FtcmError: ROS cannot start; with ``--once``, no node says anything; with ``--web``, viser is not
+            installed or the port is in use.
     """
     if options.domain_id is not None:
         os.environ["ROS_DOMAIN_ID"] = str(options.domain_id)
-    node = join_as("watch")
+    check_watch(options)
     where = f"ROS_DOMAIN_ID={os.environ.get('ROS_DOMAIN_ID', '0')}"
+    if options.web:
+        return _in_browser(options, where)
+    node = join_as("watch")
     watched = Watch(node, health_only=options.health)
     try:
         if options.once:
@@ -149,6 +163,18 @@ def watch(options: argparse.Namespace) -> int:
         return 0  # so one ends it
     finally:
         node.destroy_node()
+        rclpy.try_shutdown()
+    return 0
+
+
+def _in_browser(options: argparse.Namespace, where: str) -> int:
+    from ftcm_ros.viewer.serving import serve  # only here: it needs more than a terminal does
+
+    try:
+        serve(options, where)
+    except KeyboardInterrupt:
+        return 0
+    finally:
         rclpy.try_shutdown()
     return 0
 
@@ -197,9 +223,14 @@ def _forever(watched: Watch, where: str) -> None:
 def build_parser() -> argparse.ArgumentParser:
     """Return the command line of ``watch``."""
     parser = argparse.ArgumentParser(
-        prog="watch", description="Show a run that is on, in the terminal; it changes nothing of it."
+        prog="watch",
+        description="Show a run that is on, in the terminal or in a browser; it changes nothing of it.",
     )
     watch_options(parser)
+    parser.add_argument(
+        "--plugin", action="append", default=[], metavar="FILE",
+        help="load components from a Python file or module first; this runs its code",
+    )  # fmt: skip
     return parser
 
 
@@ -210,6 +241,7 @@ def main(argv: Sequence[str] | None = None) -> None:
     try:
         if sys.stdout is None:
             raise OSError("standard output is closed; results go there: redirect it, e.g. > FILE")
+        load_plugins(options.plugin)
         status = watch(options)
     except FtcmError as error:
         print(f"watch: error: {error}", file=sys.stderr)
