@@ -14,7 +14,10 @@ setup(
     data_files=[
         ("share/ament_index/resource_index/packages", ["resource/ftcm_ros"]),
         ("share/ftcm_ros", ["package.xml"]),
-        ("share/ftcm_ros/launch", ["launch/experiment.launch.py", "launch/node.launch.py"]),
+        (
+            "share/ftcm_ros/launch",
+            ["launch/experiment.launch.py", "launch/node.launch.py", "launch/viewer.launch.py"],
+        ),
     ],
     package_data={"ftcm_ros.transport": ["fastdds.xml"]},
     zip_safe=False,
@@ -35,6 +38,7 @@ setup(
             "analyse = ftcm_ros.analysis.analyse:main",
             "drive = ftcm_ros.run.drive:main",
             "fault = ftcm_ros.run.fault:main",
+            "markers = ftcm_ros.viewer.markers:main",
             "replay = ftcm_ros.analysis.replay:main",
             "watch = ftcm_ros.run.watch:main",
         ],

@@ -13,7 +13,9 @@ import pytest
 
 from ftcm_ros.parameters.node_parameters import ALL_NODES
 
-EXECUTABLES = {*ALL_NODES, "composed", "experiment", "analyse", "drive", "fault", "replay", "watch"}
+EXECUTABLES = {
+    *ALL_NODES, "composed", "experiment", "analyse", "drive", "fault", "markers", "replay", "watch",
+}  # fmt: skip
 COMMANDS = {"doctor", "replay", "watch"}
 """What the package brings to the command `ftcm`."""
 
@@ -51,7 +53,7 @@ def test_ros2_launch_finds_every_launch_file(root):
     installed = prefix_of("ftcm_ros") / "share" / "ftcm_ros" / "launch"
     files = {path.name: path.read_text("utf-8") for path in (root / "src/ftcm_ros/launch").glob("*.py")}
     assert {path.name: path.read_text("utf-8") for path in installed.glob("*.py")} == files
-    assert {*files} == {"experiment.launch.py", "node.launch.py"}
+    assert {*files} == {"experiment.launch.py", "node.launch.py", "viewer.launch.py"}
 
 
 def test_ftcm_is_a_command_once_the_workspace_is_sourced(tmp_path):
@@ -75,13 +77,19 @@ def test_config_files_are_installed_as_they_are_in_the_workspace(root, tmp_path)
 import importlib.resources, json, pathlib
 config = importlib.resources.files("ftcm_core") / "config"
 with importlib.resources.as_file(config) as folder:
-    files = {str(p.relative_to(folder)): p.read_text("utf-8") for pattern in ("*.yaml", "*.urdf", "layouts/*")
+    patterns = ("*.yaml", "*.urdf", "layouts/*", "rviz/*")
+    files = {str(p.relative_to(folder)): p.read_text("utf-8") for pattern in patterns
              for p in sorted(folder.rglob(pattern))}
 print(json.dumps(files))
 """
     installed = run_installed(code, tmp_path)
     config = root / "config"
-    there = [*config.rglob("*.yaml"), *config.rglob("*.urdf"), *config.glob("layouts/*")]
+    there = [
+        *config.rglob("*.yaml"),
+        *config.rglob("*.urdf"),
+        *config.glob("layouts/*"),
+        *config.glob("rviz/*"),
+    ]
     assert installed == {str(p.relative_to(config)): p.read_text("utf-8") for p in there}
     assert {"scenarios/paper.yaml", "robots/puma560.urdf"} <= set(installed)
 

@@ -30,7 +30,14 @@ from ftcm_core.simulation import simulate
 from ftcm_ros.bags.reader import read_bag
 from ftcm_ros.parameters.node_parameters import ALL_NODES, NODES, SETTINGS
 from ftcm_ros.run import launching
-from ftcm_ros.run.launching import EXPERIMENT_ARGUMENTS, NODE_ARGUMENTS, Process, parsed, shown_default
+from ftcm_ros.run.launching import (
+    EXPERIMENT_ARGUMENTS,
+    NODE_ARGUMENTS,
+    VIEWER_ARGUMENTS,
+    Process,
+    parsed,
+    shown_default,
+)
 from ftcm_ros.run.run_parameters import run_parameters
 from traces import same
 
@@ -172,7 +179,8 @@ def test_every_argument_has_its_default_back() -> None:
 
 @needs_launch
 @pytest.mark.parametrize(
-    ("file", "declared"), [("experiment", EXPERIMENT_ARGUMENTS), ("node", NODE_ARGUMENTS)]
+    ("file", "declared"),
+    [("experiment", EXPERIMENT_ARGUMENTS), ("node", NODE_ARGUMENTS), ("viewer", VIEWER_ARGUMENTS)],
 )
 def test_the_launch_files_declare_these_arguments(file: str, declared: tuple[Any, ...]) -> None:
     from launch.launch_description_sources import get_launch_description_from_python_launch_file

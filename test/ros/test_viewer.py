@@ -37,7 +37,7 @@ from ftcm_ros.viewer import serving, tables
 from ftcm_ros.viewer.arm import Mesh, drawing, drum_mesh, quaternion, rods_mesh, seen_from
 from ftcm_ros.viewer.history import ROWS, History
 from ftcm_ros.viewer.operating import PAUSE, Operator, fault_order, pause_order, swap_order
-from robots import Pendulum
+from plugins import ROBOTS
 from traces import same
 from urdf_arms import arm_text
 
@@ -106,7 +106,7 @@ def test_a_joint_is_a_drum_about_its_axis() -> None:
 
 
 def test_a_robot_that_does_not_say_where_its_joints_are_is_not_drawn() -> None:
-    assert drawing(Pendulum()) is None
+    assert drawing(ROBOTS["pendulum"]) is None
 
 
 @pytest.mark.parametrize("axis", [0, 1, 2])

@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import importlib.resources
 import shlex
 import time
 from collections.abc import Mapping
@@ -17,6 +18,7 @@ from ftcm_core.scenario import Scenario, load
 from ftcm_ros.parameters.node_parameters import ALL_NODES, SETTINGS, Setting, setting
 from ftcm_ros.run.external_nodes import write_parameters
 from ftcm_ros.run.run_parameters import run_parameters
+from ftcm_ros.viewer.description import REFERENCE_STATES, STATES, WORLD, description
 
 PASSED_ON = ("stages", "data_path", "priority", "lock_memory", "processors")
 """Parameters of the nodes that ``experiment.launch.py`` passes on."""
@@ -46,16 +48,31 @@ NODE_ARGUMENTS = (
     ),
 )
 """Arguments of ``node.launch.py``: the nodes' own parameters; empty: the node's default."""
+VIEWER_ARGUMENTS = (
+    EXPERIMENT_ARGUMENTS[0],
+    next(a for a in EXPERIMENT_ARGUMENTS if a.name == "set"),
+    next(a for a in EXPERIMENT_ARGUMENTS if a.name == "plugins"),
+    Setting("rviz", True, "whether RViz is started"),
+)
+"""Arguments of ``viewer.launch.py``."""
+RVIZ = Path(str(importlib.resources.files("ftcm_core"))) / "config" / "rviz" / "viewer.rviz"
+"""What RViz shows."""
+GHOST = "reference/"
+"""Before the frames of the reference's arm."""
 
 
 class Process(NamedTuple):
     """A process to start."""
 
     executable: str
-    """As ``ros2 run ftcm_ros`` knows it."""
+    """As ``ros2 run`` knows it."""
     arguments: tuple[str, ...] = ()
     parameters: tuple[str | dict[str, Any], ...] = ()
     """Parameter files, or values."""
+    package: str = "ftcm_ros"
+    name: str | None = None
+    """Of the node; None: its own."""
+    remappings: tuple[tuple[str, str], ...] = ()
 
 
 class Launched(NamedTuple):
@@ -102,12 +119,7 @@ def experiment(given: Mapping[str, str], folder: Path) -> Launched:
         FtcmError: an argument or the scenario is not valid.
     """
     values = {a.name: parsed(a, given[a.name]) for a in EXPERIMENT_ARGUMENTS}
-    load_plugins(name.strip() for name in values["plugins"].split(",") if name.strip())
-    try:
-        changes = shlex.split(values["set"])
-    except ValueError as error:
-        raise FtcmError(f"set: {values['set']!r}: {error}; expected changes as a shell's words") from None
-    scenario = load(values["scenario"], changes, controller=values["controller"] or None)
+    scenario = scenario_of(values)
     bag = Path(values["bag"] or time.strftime("ftcm-%Y%m%d-%H%M%S")).absolute()
     if bag.exists():
         raise FtcmError(f"bag: {str(bag)!r} exists already; choose another or remove it")
@@ -129,6 +141,54 @@ def experiment(given: Mapping[str, str], folder: Path) -> Launched:
         processes.insert(0, Process("composed", ("--nodes", *together), files_together))
     plugged = [word for name in plugins() for word in ("--plugin", name)]
     return Launched(scenario, bag, tuple(processes), Process("drive", (str(file), *plugged)))
+
+
+def scenario_of(values: Mapping[str, Any]) -> Scenario:
+    """Return the scenario that arguments name, after plug-ins were loaded.
+
+    Raises:
+        FtcmError: it, a change or a plug-in is not valid.
+    """
+    load_plugins(name.strip() for name in values["plugins"].split(",") if name.strip())
+    try:
+        changes = shlex.split(values["set"])
+    except ValueError as error:
+        raise FtcmError(f"set: {values['set']!r}: {error}; expected changes as a shell's words") from None
+    return load(values["scenario"], changes, controller=values.get("controller") or None)
+
+
+def viewer(given: Mapping[str, str]) -> tuple[Process, ...]:
+    """Return what ``viewer.launch.py`` starts.
+
+    Args:
+        given: text of each of :data:`VIEWER_ARGUMENTS`.
+
+    Raises:
+        FtcmError: an argument or the scenario is not valid, or the robot cannot be drawn.
+    """
+    values = {a.name: parsed(a, given[a.name]) for a in VIEWER_ARGUMENTS}
+    seen = description(scenario_of(values).robot)
+    plugged = [word for name in plugins() for word in ("--plugin", name)]
+    started = [Process("markers", tuple(plugged))]
+    for name, prefix, states in (("robot", "", STATES), ("reference", GHOST, REFERENCE_STATES)):
+        started += [
+            Process(
+                "robot_state_publisher",
+                parameters=({"robot_description": seen.text, "frame_prefix": prefix},),
+                package="robot_state_publisher",
+                name=f"robot_state_publisher_of_{name}",
+                remappings=(("joint_states", states), ("robot_description", f"viewer/{name}_description")),
+            ),
+            Process(
+                "static_transform_publisher",
+                ("--frame-id", WORLD, "--child-frame-id", prefix + seen.root),
+                package="tf2_ros",
+                name=f"place_of_{name}",
+            ),
+        ]
+    if values["rviz"]:
+        started.append(Process("rviz2", ("-d", str(RVIZ)), package="rviz2"))
+    return tuple(started)
 
 
 def single(given: Mapping[str, str]) -> Process:
