@@ -12,6 +12,7 @@ import time
 from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
+from unittest.mock import MagicMock
 
 import numpy as np
 import pytest
@@ -37,6 +38,7 @@ from ftcm_ros.viewer import serving, tables
 from ftcm_ros.viewer.arm import Mesh, drawing, drum_mesh, quaternion, rods_mesh, seen_from
 from ftcm_ros.viewer.history import ROWS, History
 from ftcm_ros.viewer.operating import PAUSE, Operator, fault_order, pause_order, swap_order
+from ftcm_ros.viewer.page import ALL, Page
 from plugins import ROBOTS
 from traces import same
 from urdf_arms import arm_text
@@ -189,6 +191,73 @@ def test_what_was_heard_is_no_markup() -> None:
     for text in texts:
         assert "&lt;script&gt;" in text
         assert evil not in text
+
+
+def page_of(view: View) -> tuple[Page, MagicMock]:
+    """A page with somebody who looks at it, and viser's server, of which nothing is there."""
+    server = MagicMock()
+    server.gui.add_html.side_effect = lambda content: MagicMock(content=content)
+    server.gui.add_dropdown.return_value.value = ALL
+    camera = MagicMock(image_width=900, image_height=800)
+    server.get_clients.return_value = {0: MagicMock(camera=camera)}
+    return Page(server, view, "ROS_DOMAIN_ID=7"), server
+
+
+def hear_run(view: View, ticks: range) -> None:
+    """The begin of a run."""
+    names = Puma560.joint_names
+    view.hear_scenario(load("paper").to_yaml())
+    for tick in ticks:
+        for topic in (JOINT_STATES, REFERENCE):
+            view.hear_sample(topic.name, tick * 10**6, Sample(names, (0.1, 0.2, 0.3), (), (1.0, 2.0, 3.0)))
+
+
+def test_a_page_goes_on_with_the_next_run() -> None:
+    view = View()
+    page, server = page_of(view)
+    page.show(0.0)
+    for now, ticks in ((1.0, range(5)), (2.0, range(5, 10))):
+        hear_run(view, ticks)
+        page.show(now)
+    assert server.gui.add_uplot.call_count == 2, "errors and torques; nobody tells of disturbances"
+    (time_, *errors), _ = server.gui.add_uplot.call_args_list[0][0]
+    assert (time_.tolist(), len(errors)) == ([0.004, 0.009], 3)
+    meshes = server.scene.add_mesh_simple.call_count
+    view.forget()
+    page.show(3.0)
+    assert server.scene.add_mesh_simple.call_count == meshes
+    hear_run(view, range(3))
+    page.show(4.0)
+    assert server.scene.add_mesh_simple.call_count == 2 * meshes
+    assert page._history.table().time.tolist() == [0.002]
+
+
+def test_where_the_arm_cannot_be_drawn_the_page_says_why() -> None:
+    view = View()
+    page, server = page_of(view)
+    hear_run(view, range(3))
+    view.scenario["robot"] = {"type": "no_such_robot"}
+    page.show(0.0)
+    assert "No arm, no controls: " in page._note.content
+    assert "no_such_robot" in page._note.content
+    assert server.scene.add_mesh_simple.call_count == 0
+
+
+@pytest.mark.parametrize(
+    ("largest", "factor", "unit"),
+    [(0.5, 1.0, "rad"), (2e-3, 1e3, "mrad"), (3e-7, 1e6, "µrad"), (0.0, 1e9, "nrad")],
+)
+def test_small_errors_have_a_small_unit(largest: float, factor: float, unit: str) -> None:
+    view = View()
+    page, server = page_of(view)
+    hear_run(view, range(1))
+    page.show(0.0)
+    for k in range(3):
+        page._history.add(k + 1.0, [Values(*[largest * (k == 1)] * 6)] * 3, [False] * 3)
+    page._plots.show(page._history.table())
+    ((_, error, *_), _), said = server.gui.add_uplot.call_args_list[0]
+    assert error.max() == pytest.approx(factor * largest)
+    assert said["title"] == f"tracking error, {unit}"
 
 
 # What is refused.

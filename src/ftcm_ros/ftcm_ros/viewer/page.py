@@ -277,7 +277,7 @@ class Page:
         """
         self._server, self._view, self._where, self._operator = server, view, where, operator
         self._key: tuple[Any, ...] = ()
-        self._history: History | None = None
+        self._history = History(0)
         self._solid: Arm | None = None
         self._ghost: Arm | None = None
         self._plots: Plots | None = None
@@ -316,27 +316,31 @@ class Page:
         Args:
             now: steady time, s.
         """
-        view = self._view
-        if view.joints and view.scenario and self._key != (key := (view.runs, view.joints)):
+        view, key = self._view, (self._view.runs, self._view.joints)
+        known = bool(
+            view.joints and view.scenario
+        )  # else another run begins, of which too little has been heard
+        if known and self._key != key:
             self._key = key
             self._begin()
-        if self._history is not None and view.time is not None:
-            alarms = view.alarms()
-            values = [view.values(joint) for joint in view.joints]
-            if all(math.isfinite(one.error) for one in values):
-                self._history.add(view.time, values, [joint in alarms for joint in view.joints])
+        if known:
+            self._keep()
         if not self._server.get_clients():
             return
         with self._server.atomic():
-            self._draw()
-            if (
-                self._passed("plots", now, PLOT_SECONDS)
-                and self._history is not None
-                and self._plots is not None
-            ):
-                self._plots.show(self._history.table())
+            if known:
+                self._draw()
+                if self._passed("plots", now, PLOT_SECONDS) and self._plots is not None:
+                    self._plots.show(self._history.table())
             if self._passed("texts", now, TEXT_SECONDS):
                 self._write(now)
+
+    def _keep(self) -> None:
+        """Keep the newest values."""
+        view, alarms = self._view, self._view.alarms()
+        values = [view.values(joint) for joint in view.joints]
+        if view.time is not None and all(math.isfinite(one.error) for one in values):
+            self._history.add(view.time, values, [joint in alarms for joint in view.joints])
 
     def _passed(self, what: str, now: float, seconds: float) -> bool:
         if now < self._due[what]:
@@ -350,6 +354,7 @@ class Page:
         for handle in self._of_run:
             handle.remove()
         self._solid = self._ghost = self._controls = None
+        self._controls_place.visible = False
         self._history = History(len(view.joints))
         with self._tab:
             folder = gui.add_folder(None)
@@ -372,16 +377,22 @@ class Page:
             name = scenario.robot.type_name
             self._note.content = tables.note(f"No arm: robot {name} does not say where its joints are.")
             return
+        if tuple(scenario.robot.joint_names) != view.joints:
+            self._note.content = tables.note(
+                "No arm: the run's joints are not those of its scenario's robot."
+            )
+            return
         self._note.content = tables.note(LEGEND)
         self._solid = Arm(scene, "/robot", scenario.robot, shape)
         self._ghost = Arm(scene, "/reference", scenario.robot, thin, ghost=True)
         self._of_run += [*self._solid.roots, *self._ghost.roots, self._ground(shape)]
 
     def _ground(self, shape: Drawing) -> Any:
-        """Lay a floor, and have everybody look at the arm."""
-        self._shape = shape
-        for client in self._server.get_clients().values():
-            self._aim(client)
+        """Lay a floor; have everybody look at an arm that is not the one before."""
+        if shape != self._shape:
+            self._shape = shape
+            for client in self._server.get_clients().values():
+                self._aim(client)
         size = 4.0 * shape.reach
         return self._server.scene.add_grid(
             "/floor", size, size, cell_size=0.1 * shape.reach, section_size=0.5 * shape.reach,
