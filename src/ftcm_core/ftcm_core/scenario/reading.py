@@ -77,15 +77,16 @@ def read_mapping(source: str) -> tuple[dict[str, Any], dict[str, int], str]:
 
 
 def _set_folder(data: dict[str, Any], folder: Path) -> None:
-    """Make the files of robots absolute, in place: what a scenario file names is relative to it."""
+    """Make the files of robots and plants absolute, in place: what a scenario names is relative to it."""
     plant = data.get("plant")
-    for robot in (
+    for part in (
         data.get("robot"),
         data.get("model"),
+        plant,
         plant.get("robot") if isinstance(plant, dict) else None,
     ):
-        if isinstance(robot, dict) and isinstance(file := robot.get("file"), str) and file:
-            robot["file"] = file if file.startswith(PACKAGE) else str(folder.absolute() / file)
+        if isinstance(part, dict) and isinstance(file := part.get("file"), str) and file:
+            part["file"] = file if file.startswith(PACKAGE) else str(folder.absolute() / file)
 
 
 def load(source: str, overrides: Sequence[str] = (), controller: str | None = None) -> Scenario:

@@ -87,5 +87,5 @@ class Watchdog:
         waited_for = [n for n in CHAIN if n in self._ticks and self._ticks[n] <= done]
         if not waited_for and self._ticks["recorder"] < done:
             return "recorder"
-        # The one furthest behind: another may wait for it, or its last report may be from before its last tick.
+        # The one furthest behind: another may wait for it, or its last report is a tick old.
         return min(waited_for, key=self._ticks.__getitem__) if waited_for else "plant"
