@@ -263,7 +263,8 @@ class _Reader:
         parameters = {k: v for k, v in value.items() if k != "type"}
         self.check_keys(parameters, path, ["type", *specs(cls)])
         if kind == "policy":  # components inside it are kept as text
-            parameters = {k: json.dumps(v) if isinstance(v, dict) else v for k, v in parameters.items()}
+            inside = [k for k, v in parameters.items() if k in COMPONENTS and isinstance(v, dict)]
+            parameters |= {k: json.dumps(parameters[k]) for k in inside}
         return cls, parameters
 
     def changed(self, robot: Robot, value: Any, path: str) -> Robot:

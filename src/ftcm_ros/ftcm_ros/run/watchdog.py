@@ -50,9 +50,11 @@ class Watchdog:
         """When each node's count of ticks last changed."""
         self._ticks = dict.fromkeys(self._nodes, -1)
 
-    def hear(self, node: str, ticks: int) -> None:
-        """Take in that a node has done so many ticks."""
+    def hear(self, node: str, ticks: int, paused: bool = False) -> None:
+        """Take in that a node has done so many ticks; of a run that is paused, none are expected."""
         self._heard[node] = self._clock()
+        if paused:
+            self._moved = dict.fromkeys(self._moved, self._heard[node])
         if ticks != self._ticks[node]:
             self._ticks[node], self._moved[node] = ticks, self._heard[node]
 
