@@ -142,6 +142,20 @@ def test_what_a_model_file_has_besides_the_arm_moves_too(tmp_path: Path) -> None
     assert abs(plant.motion(state)[0][0] - alone[0][0]) > 0.05
 
 
+def test_the_plants_own_friction_stays_when_another_engine_is_chosen() -> None:
+    """What the true robot has besides is not a parameter of the engine."""
+    given = "plant={robot: {coulomb_friction: 3.0, viscous_friction: 2.0}}"
+    scenario = load("paper", [PAPER, given, "plant.type=mujoco"])
+    assert scenario.plant == Mujoco()
+    assert isinstance(scenario.robot, Urdf)
+    assert isinstance(scenario.model, Urdf)
+    assert scenario.robot.chain().coulomb == (3.0,) * 3
+    assert scenario.model.chain().coulomb == (0.0,) * 3
+    compiled_model = scenario.plant._simulator(scenario.robot).model
+    assert compiled_model.dof_frictionloss.tolist() == [3.0] * 3
+    assert compiled_model.dof_damping.tolist() == [2.0] * 3
+
+
 def test_a_payload_picked_up_is_felt_as_by_the_robots_own() -> None:
     """The model is made anew when a fault changes the robot."""
     fault = "injection.faults=[{type: payload_pickup, mass: 3.0, start: 0.2}]"

@@ -144,7 +144,9 @@ def apply_override(data: dict[str, Any], text: str) -> None:
             raise ScenarioError(f"--set {label}: {here} is a single value; it has no {shown(key)} inside")
         if depth == len(keys) - 1:
             if key == "type" and node.get("type") != value:
+                robot = {k: v for k, v in node.items() if k == "robot" and keys[0] == "plant"}
                 node.clear()
+                node.update(robot)  # whose robot it is, is no parameter of an engine
             node[index] = value
             return
         inner = node[index] if isinstance(node, list) else node.get(index, {})
