@@ -21,6 +21,7 @@ setup(
     extras_require={
         "figures": ["matplotlib>=3.6"],
         "compiled": ["numba>=0.61"],
+        "completion": ["argcomplete>=3.1"],
         "mujoco": ["mujoco>=3.2.3"],
         "arms": ["example-robot-data>=4.4"],
     },

@@ -18,6 +18,7 @@ from typing import Any
 import ftcm_core
 from ftcm_core import campaign
 from ftcm_core.cli.calibration import calibrate_command
+from ftcm_core.cli.completion import complete
 from ftcm_core.cli.detectable import detectable_command, detectable_options
 from ftcm_core.cli.doctor import doctor_command
 from ftcm_core.cli.listing import describe_command, list_command
@@ -43,7 +44,9 @@ def main(argv: Sequence[str] | None = None) -> int:
         if isinstance(stream, io.TextIOWrapper):  # "Δ" must not crash on an ASCII terminal
             stream.reconfigure(errors="replace")
     try:
-        arguments = _parser().parse_args(argv)
+        parser = _parser()
+        complete(parser)
+        arguments = parser.parse_args(argv)
         if sys.stdout is None:
             return fail("standard output is closed; results go there: redirect it, e.g. > FILE", 1)
         load_plugins(arguments.plugin)

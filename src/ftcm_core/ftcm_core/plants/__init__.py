@@ -30,6 +30,17 @@ class Plant(Component):
         del robot, changes
         return ""
 
+    def warnings(self, robot: Robot, position: Vector, dt: float) -> list[str]:
+        """What this engine does not do well, one line each.
+
+        Args:
+            robot: the true robot.
+            position: where it starts, rad.
+            dt: tick length, s.
+        """
+        del robot, position, dt
+        return []
+
     @abstractmethod
     def init(self, robot: Robot, position: Vector, velocity: Vector) -> Any:
         """Return the state at the given motion (rad, rad/s)."""

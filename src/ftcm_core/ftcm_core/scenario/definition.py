@@ -281,8 +281,13 @@ class Scenario(Parameterised):
         return found
 
     def warnings(self) -> list[str]:
-        """Return the warnings of its controller and its observer."""
-        return self.warnings_of(self.controller) + self.warnings_of(self.observer)
+        """Return the warnings of its controller, its observer and its plant."""
+        start = per_joint(self.initial_state.position, self.robot.joints)
+        return [
+            *self.warnings_of(self.controller),
+            *self.warnings_of(self.observer),
+            *self.plant.warnings(self.robot, start, self.dt),
+        ]
 
     def to_mapping(self) -> dict[str, Any]:
         """Return the complete scenario, every default written out, as plain data."""
