@@ -8,6 +8,7 @@ playwright, and its Chromium or another one: ``--chromium PATH``.
 from __future__ import annotations
 
 import argparse
+import os
 import subprocess
 import sys
 import tempfile
@@ -24,7 +25,7 @@ COMMAND = (
     "detector=cusum",
     "--no-figures",
 )
-SIZE = {"width": 1000, "height": 960}
+SIZE = {"width": 1000, "height": 1210}
 
 
 def main() -> None:
@@ -41,7 +42,9 @@ def main() -> None:
         out = Path(folder) / "out"
         subprocess.run([sys.executable, "-m", "ftcm_core.cli", *COMMAND, "--output", str(out)], check=True)
         with sync_playwright() as driver:
-            browser = driver.chromium.launch(executable_path=options.chromium, args=["--no-sandbox"])
+            browser = driver.chromium.launch(
+                executable_path=options.chromium, args=[] if os.geteuid() else ["--no-sandbox"]
+            )
             page = browser.new_page(viewport=SIZE)
             page.goto((out / "report.html").as_uri())
             page.wait_for_selector("html[data-drawn]")

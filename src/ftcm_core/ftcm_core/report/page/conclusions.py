@@ -55,7 +55,7 @@ def tracking(results: Sequence[Result], onset: float | None) -> list[str]:
         onset: of the first fault, s.
     """
     window = "after_transient" if onset is None else "after_fault"
-    when = "After the transient" if onset is None else f"After the fault at {onset:g} s"
+    when = "After the transient" if onset is None else f"After {_first_fault(results)} at {onset:g} s"
     ranked = _ranked(results, window, "mean_abs_error")
     if not ranked:
         return []
@@ -147,6 +147,13 @@ def _conditions(result: Result) -> str:
     if configuration is None:
         return ""
     return json.dumps({k: v for k, v in configuration.items() if k not in _OF_THE_RUN}, sort_keys=True)
+
+
+def _first_fault(results: Sequence[Result]) -> str:
+    configuration = results[0]["configuration"]
+    return (
+        "the first fault" if configuration and len(configuration["injection"]["faults"]) > 1 else "the fault"
+    )
 
 
 def _mean(result: Result, window: str, metric: str) -> float | None:

@@ -13,7 +13,7 @@ import numpy.typing as npt
 from ftcm_core.detectors import VERDICTS
 from ftcm_core.recording.detection import alarms, beginnings
 from ftcm_core.recording.trace import ENDED_EARLY, Array, Trace
-from ftcm_core.report.page.decimation import Rows, intervals, kept
+from ftcm_core.report.page.decimation import AFTER, BEFORE, Rows, intervals, kept
 
 Run = tuple[str, Trace]
 
@@ -23,21 +23,23 @@ FEWEST = 200
 POINTS = 350_000
 """So many points all curves have together, about; with more curves, intervals are longer (chosen: 4 MB)."""
 EVENTS = 8
-"""Near so many events of a run every tick is kept."""
+"""Near so many events of a run every tick is kept, or near fewer."""
+CURVES = 9
+"""Each joint of a run has so many, at most."""
 BARS = 500
 """So many alarms of a run are shown at most; those that follow each other soonest are joined."""
 _LARGEST = float(np.finfo(np.float32).max)
 
 
 def encoded(values: npt.NDArray[Any], kind: str) -> str:
-    """Return numbers as base64 of their bytes, little-endian: ``f4``, ``f8`` or ``u4``."""
-    return base64.b64encode(np.ascontiguousarray(values).astype(f"<{kind}").tobytes()).decode("ascii")
+    """Return numbers as base64 of their bytes, little-endian: ``f4`` or ``u4``."""
+    return base64.b64encode(values.astype(f"<{kind}").tobytes()).decode("ascii")
 
 
-def single(values: Array) -> Array:
+def single(values: Array) -> npt.NDArray[np.float32]:
     """Return values as they are drawn: in single precision, NaN where they are not finite."""
     finite = np.where(np.isfinite(values), np.clip(values, -_LARGEST, _LARGEST), np.nan)
-    return finite.astype(np.float32).astype(np.float64)
+    return finite.astype(np.float32)
 
 
 def page_data(traces: Sequence[Run]) -> dict[str, Any]:
@@ -56,8 +58,12 @@ def _page_data(traces: Sequence[Run]) -> dict[str, Any]:
     first = min((float(t.time[0]) for _, t in traces if t.ticks), default=0.0)
     last = max((float(t.time[-1]) for _, t in traces if t.ticks), default=1.0)
     joints = max((len(t.joint_names) for _, t in traces), default=1)
-    count = max(FEWEST, min(INTERVALS, POINTS // (2 * _curves(traces))))
-    begins = [intervals(t.ticks, count, _rows(t, events(t))) for _, t in traces]
+    each = POINTS // max(1, CURVES * sum(len(t.joint_names) for _, t in traces))
+    count = max(FEWEST, min(INTERVALS, each // 2))
+    near = max(2, min(EVENTS, each // (2 * (BEFORE + AFTER))))
+    begins = [
+        intervals(t.ticks, count, np.searchsorted(t.time, events(t)[:near]).tolist()) for _, t in traces
+    ]
     longest = max((len(t.time) // count * t.dt for _, t in traces if t.ticks > 2 * count), default=0.0)
     return {
         "runs": [
@@ -89,7 +95,7 @@ def events(trace: Trace) -> list[float]:
     found += [d.tick * trace.dt for d in trace.decisions]
     found += [t for t in _first_alarms(trace) if t is not None]
     inside = [t for t in dict.fromkeys(found) if trace.time[0] < t <= trace.time[-1]]
-    return [float(trace.time[0]), *sorted(inside)[: EVENTS - 1]]
+    return [float(trace.time[0]), *sorted(inside)]
 
 
 def faults(traces: Sequence[Run]) -> list[dict[str, Any]]:
@@ -123,19 +129,14 @@ def timeline(traces: Sequence[Run]) -> list[dict[str, Any]]:
         for c in trace.changes:
             what = c.component.to_mapping()
             by = f" by {c.by}" if c.by else ""
-            said = (
-                f"fault {what['number']}: {what['action']}"
-                if c.kind == "fault"
-                else f"{c.kind} {what['type']}"
-            )
-            marks.append([c.tick * trace.dt, said + by])
+            said = f"{what['action']} {what['number']}" if c.kind == "fault" else what["type"]
+            marks.append([c.tick * trace.dt, f"{c.kind}: {said}{by}"])
         if marks:
             rows.append({"run": number, "name": f"{label}: decisions, changes", "bars": [], "marks": marks})
         if trace.status in ENDED_EARLY and trace.ticks:
             end = [[float(trace.time[-1]), trace.detail or trace.status]]
-            rows.append(
-                {"run": number, "name": f"{label}: {trace.status}", "bars": [], "marks": end, "end": True}
-            )
+            about = {"run": number, "name": f"{label}: {trace.status}", "end": True}
+            rows.append({**about, "bars": [], "marks": end})
     return rows
 
 
@@ -164,15 +165,6 @@ def _first_alarms(trace: Trace) -> list[float | None]:
     begun = trace.time[beginnings(flags).any(axis=1)]
     after = [begun[begun > x.onset] for x in trace.fault_intervals]
     return [float(found[0]) if len(found) else None for found in after]
-
-
-def _rows(trace: Trace, times: Sequence[float]) -> list[int]:
-    return [int(np.searchsorted(trace.time, t)) for t in times]
-
-
-def _curves(traces: Sequence[Run]) -> int:
-    """About how many curves there are: of each joint of each run, nine."""
-    return max(1, 9 * sum(len(t.joint_names) for _, t in traces))
 
 
 def _joint(traces: Sequence[Run], joint: int) -> str:

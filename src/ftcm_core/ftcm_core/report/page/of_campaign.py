@@ -5,6 +5,7 @@ from __future__ import annotations
 
 import json
 import math
+from collections import defaultdict
 from collections.abc import Iterable, Mapping, Sequence
 from typing import Any
 
@@ -21,11 +22,12 @@ QUANTILES = (0.0, 0.05, 0.25, 0.5, 0.75, 0.95, 1.0)
 """What a box shows."""
 SAMPLE = 400
 """So many values of a distribution are drawn at most, at even distances in their order."""
-_WINDOWS = ("after_fault", "after_transient", "whole", "before_fault", "transient")
+WINDOWS = ("after_fault", "after_transient", "whole")
+"""Windows whose metrics can be looked at."""
 _DELAY = ("detection", "delay")
 
-Values = dict[tuple[str, str], dict[str, dict[int, list[float]]]]
-"""Window and metric -> law -> joint from 0 -> values of the completed runs."""
+Values = dict[tuple[str, str], dict[tuple[str, int], list[float]]]
+"""Window and metric -> law and joint from 0 -> values of the completed runs."""
 
 
 def campaign_page(
@@ -60,9 +62,8 @@ def campaign_page(
     ]
     data = {"runs": [{"label": law} for law in laws], "campaign": {"columns": columns, "note": note}}
     heading = f"Campaign {about.get('scenario', '')}: {', '.join(laws)}"
-    return document(
-        heading, f"{count:,} draws, the same for every law.", verdict(summary, results), sections, data
-    )
+    said = f"{count:,} draws{', the same for every law' if len(laws) > 1 else ''}."
+    return document(heading, said, verdict(summary, results), sections, data)
 
 
 def verdict(summary: Mapping[str, Any], results: Sequence[Mapping[str, Any]]) -> list[str]:
@@ -113,46 +114,37 @@ def verdict(summary: Mapping[str, Any], results: Sequence[Mapping[str, Any]]) ->
 
 
 def _values(results: Iterable[Mapping[str, Any]]) -> Values:
-    found: Values = {}
+    found: Values = defaultdict(lambda: defaultdict(list))
     for one in results:
         if one["status"] != "completed":
             continue
         law = one["controller"]
-        for window, metrics in (one["metrics"] or {}).items():
-            for metric, row in (metrics or {}).items():
+        for window in WINDOWS:
+            for metric, row in (one["metrics"].get(window) or {}).items():
                 for joint, x in enumerate(row):
                     if x is not None and math.isfinite(x):
-                        found.setdefault((window, metric), {}).setdefault(law, {}).setdefault(
-                            joint, []
-                        ).append(x)
-        delays = [f["delay"] for f in (one.get("detection") or {}).get("faults", []) if f["detected"]]
-        if delays:
-            found.setdefault(_DELAY, {}).setdefault(law, {}).setdefault(0, []).extend(delays)
+                        found[window, metric][law, joint].append(x)
+        for fault in (one.get("detection") or {}).get("faults", []):
+            if fault["detected"]:
+                found[_DELAY][law, 0].append(fault["delay"])
     return found
 
 
 def _columns(values: Values, laws: Sequence[str]) -> list[dict[str, Any]]:
     """What can be chosen: name, unit, and per joint of each law its box and a sample of its values."""
-    order = [(w, m) for w in _WINDOWS[:3] for m in METRICS if (w, m) in values]
-    order += [_DELAY] if _DELAY in values else []
-    return [
-        {
-            "name": "delay of the detection, s"
-            if key == _DELAY
-            else f"{key[0].replace('_', ' ')}: {key[1].replace('_', ' ')}, {METRICS[key[1]][1]}",
-            "unit": "s" if key == _DELAY else METRICS[key[1]][1],
-            "perJoint": key != _DELAY,
-            "joints": [
-                [
-                    _drawn(k, values[key][law][joint])
-                    for k, law in enumerate(laws)
-                    if values[key].get(law, {}).get(joint)
-                ]
-                for joint in range(1 + max(j for joints in values[key].values() for j in joints))
-            ],
-        }
-        for key in order
-    ]
+    columns = []
+    for key in [*((window, metric) for window in WINDOWS for metric in METRICS), _DELAY]:
+        if key not in values:
+            continue
+        unit = "s" if key == _DELAY else METRICS[key[1]][1]
+        own = values[key]
+        joints = [
+            [_drawn(k, own[law, joint]) for k, law in enumerate(laws) if (law, joint) in own]
+            for joint in range(1 + max(joint for _, joint in own))
+        ]
+        name = f"{key[0]}: {key[1]}, {unit}".replace("_", " ")
+        columns.append({"name": name, "unit": unit, "perJoint": key != _DELAY, "joints": joints})
+    return columns
 
 
 def _drawn(run: int, values: Sequence[float]) -> dict[str, Any]:

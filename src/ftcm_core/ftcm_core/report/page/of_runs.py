@@ -26,7 +26,7 @@ from ftcm_core.report.table import (
 
 _SEVERAL = 5
 """So many runs are named in the heading."""
-NO_SCRIPT = "<noscript><p>The plots need JavaScript; <code>figures/</code> has them as images.</p></noscript>"
+NO_SCRIPT = "<noscript><p>The plots need JavaScript.</p></noscript>"
 _MADE_ANEW = ("--output", "--name")
 """Options whose value is a name that must be a new one each time."""
 
@@ -76,7 +76,7 @@ def runs_page(
         ("tables", "Tables", "\n".join(from_markdown(text) for text in tables if text)),
         ("timing", "Over the graph", from_markdown(more) + timing if more or timing else ""),
         ("scenario", "Scenario", _scenarios(traces, scenarios)),
-        ("provenance", "Where it comes from", pairs(_provenance(summary["provenance"]))),
+        ("provenance", "Where it comes from", provenance_pairs(summary["provenance"])),
         ("again", "How to repeat it", _again(traces, scenarios, background.command, summary["provenance"])),
     ]
     verdict = [*conclusions(results, onsets), *background.sentences]
@@ -108,7 +108,7 @@ def again(command: Sequence[str]) -> str:
 
 def provenance_pairs(values: Mapping[str, Any]) -> str:
     """Return where numbers come from, as HTML."""
-    return pairs(_provenance(values))
+    return pairs({name: value for name, value in values.items() if value not in (None, "")})
 
 
 def _again(
@@ -125,16 +125,10 @@ def _again(
             lines.append(shlex.join(["ftcm", "simulate", scenarios[label], *engine, *plugins]))
     if not lines:
         return again(command)
-    text = (
-        "The same numbers"
-        if all(t.engine != "graph" for _, t in traces)
-        else "The same experiment in process"
-    )
-    return (
-        again(command)
-        + f"<p>{text}, in the folder of this page, from the complete scenario:</p>"
-        + pre("\n".join(lines))
-    )
+    recorded = any(trace.engine == "graph" for _, trace in traces)
+    what = "The same experiment in process" if recorded else "The same numbers"
+    own = f"<p>{what}, in the folder of this page, from the complete scenario:</p>"
+    return again(command) + own + pre("\n".join(lines))
 
 
 def _title(traces: Sequence[tuple[str, Trace]]) -> str:
@@ -166,7 +160,7 @@ def _drawn(interval: float) -> str:
         f'<p class="note">Of every {1000 * interval:.3g} ms the tick with the smallest and the one with the '
         f"largest value are drawn, as they were recorded, so no peak is lost; from {BEFORE} ticks before to "
         f"{AFTER} ticks after the start, the onset of a fault, its first alarm and a decision (the first few "
-        "of each run), every tick. Curves that go up and down quickly are drawn first and without dashes.</p>"
+        "of each run), every tick. What goes up and down many times within a pixel is drawn as an area.</p>"
     )
 
 
@@ -176,10 +170,6 @@ def _scenarios(traces: Sequence[tuple[str, Trace]], files: Mapping[str, str]) ->
         for label, trace in traces
         if trace.scenario
     )
-
-
-def _provenance(values: Mapping[str, Any]) -> dict[str, Any]:
-    return {name: value for name, value in values.items() if value not in (None, "")}
 
 
 def write_page(folder: Path, html: str) -> None:

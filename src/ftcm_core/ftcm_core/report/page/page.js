@@ -313,7 +313,8 @@
       make("span", this.said, {}, (this.options.nameX || "t") + " = " + short(x, 6) + " ");
       for (const curve of this.shown) {
         if (!curve.x.length) continue;
-        const value = make("b", this.said, {}, " " + short(curve.y[this.nearest(curve, x)], 3));
+        const name = this.box.clientWidth > 560 ? ` ${curve.name} ` : " ";
+        const value = make("b", this.said, {}, name + short(curve.y[this.nearest(curve, x)], 3));
         value.style.color = curve.dotted ? colours.ink : colourOf(curve.run);
         value.title = curve.name;
         if (curve.dotted) value.prepend("·");
@@ -330,6 +331,7 @@
       this.box.addEventListener("pointerdown", event => {
         if (event.button !== 0 || !this.area) return;
         begin = value(event);
+        this.view.point(this.unwarp(begin));
         this.box.setPointerCapture(event.pointerId);
       });
       this.box.addEventListener("pointermove", event => {
@@ -349,7 +351,9 @@
       };
       this.box.addEventListener("pointerup", end);
       this.box.addEventListener("pointercancel", end);
-      this.box.addEventListener("pointerleave", () => { if (begin === null) this.view.point(null); });
+      this.box.addEventListener("pointerleave", event => {
+        if (begin === null && event.pointerType !== "touch") this.view.point(null); // a finger leaves, what it showed stays
+      });
       this.box.addEventListener("dblclick", () => this.view.set(...this.view.whole));
     }
   }
