@@ -29,6 +29,7 @@ setup(
     extras_require={
         "figures": ["matplotlib>=3.6"],
         "compiled": ["numba>=0.61"],
+        "mujoco": ["mujoco>=3.2.3"],
         "arms": ["example-robot-data>=4.4"],
     },
     entry_points={"console_scripts": ["ftcm = ftcm_core.cli:main"]},

@@ -427,6 +427,12 @@ def test_the_verdict_of_a_suite_counts_its_rows() -> None:
         "ideal: a has the smallest RMS error after the onset in 2 of 3 faults, b in 1.",
         "ideal: runs that ended early: 1 of a.",
     ]
+    for r, delay in zip(rows[2:], (0.01, 0.02, None, 0.04, 0.03, None)):
+        r["detection_delay"] = delay
+    assert suite_verdict(rows)[2] == (
+        "ideal: faults detected: 2 of 3 with a, in the median after 0.02 s; 2 of 3 with b, in the median "
+        "after 0.03 s."
+    )
 
 
 def test_the_page_of_a_suite(tmp_path: Path) -> None:

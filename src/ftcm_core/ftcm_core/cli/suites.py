@@ -6,6 +6,7 @@ from __future__ import annotations
 import argparse
 
 from ftcm_core.campaign import fault_suite
+from ftcm_core.cli.calibration import detector_overrides
 from ftcm_core.cli.output import note, progress
 from ftcm_core.recording.provenance import provenance
 from ftcm_core.registry import components, find
@@ -29,7 +30,7 @@ def suite_command(arguments: argparse.Namespace) -> int:
         conditions=tuple(dict.fromkeys(arguments.conditions)),
         onset=arguments.onset,
         duration=arguments.duration,
-        overrides=tuple(arguments.overrides),
+        overrides=(*detector_overrides(arguments.detector_file), *arguments.overrides),
     )
     folder = new_folder(arguments.output) if arguments.output is not None else None
     with progress("run") as show:
@@ -77,6 +78,7 @@ def add_arguments(sub: argparse.ArgumentParser) -> None:
         "--set", nargs="+", action="extend", default=[], metavar="PATH=VALUE", dest="overrides",
         help="change values in every run",
     )  # fmt: skip
+    sub.add_argument("--detector-file", metavar="FILE", help="use the detector that calibrate wrote")
     sub.add_argument("--jobs", type=int, metavar="N", help="number of processes; default: one per core")
     sub.add_argument("--json", action="store_true", help="print one JSON object")
     sub.add_argument("--output", metavar="DIR", help="write rows, tables and report.html to a new folder")

@@ -186,6 +186,8 @@ class Scenario(Parameterised):
                 raise ParameterError(f"{place}: {needs}; robot {self.robot.type_name!r} has {joints} joints")
             if isinstance(part, Fault) and (reason := part.too_coarse(self.robot, self.dt)):
                 raise ParameterError(f"{place}.{reason}")
+        if needs := self.plant.unsuited(self.robot, any(isinstance(f, RobotFault) for f in self.faults)):
+            raise ParameterError(f"plant: {needs}")
         robot = self.robot
         for i, fault in sorted(enumerate(self.faults), key=lambda x: x[1].rank):
             try:

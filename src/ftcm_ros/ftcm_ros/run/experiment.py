@@ -26,6 +26,7 @@ from ftcm_ros.run.external_nodes import AmbientDomain
 from ftcm_ros.run.graph_run import Interrupted, Run, composed, use_domain
 from ftcm_ros.run.progress import say
 from ftcm_ros.run.run_report import report
+from ftcm_ros.timing.pacing import check_speed
 from ftcm_ros.transport.domain import Domain
 from ftcm_ros.transport.joining import JoinError
 
@@ -51,6 +52,13 @@ def build_parser() -> argparse.ArgumentParser:
     )
     parser.add_argument(
         "--mode", choices=("lockstep", "real_time"), default="lockstep", help="default: lockstep"
+    )
+    parser.add_argument(
+        "--speed",
+        type=float,
+        default=1.0,
+        metavar="FACTOR",
+        help="real time: seconds of the run in a second, e.g. 0.5: half as fast (default: 1)",
     )
     parser.add_argument(
         "--composed",
@@ -127,6 +135,7 @@ def run_experiment(options: argparse.Namespace) -> int:
     if not options.patience >= 2.0:  # nodes speak once a second
         raise FtcmError(f"--patience {options.patience:g} is too short; expected 2 s or more")
     figure_formats(options.figure_format)
+    check_speed(options.speed, options.mode)
     load_plugins(options.plugin)
     names = options.controllers or (PAPER_CONTROLLERS if options.scenario == "paper" else [None])
     scenarios = [load(options.scenario, options.set, controller=n) for n in names]

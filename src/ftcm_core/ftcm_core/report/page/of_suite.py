@@ -7,6 +7,8 @@ import json
 from collections.abc import Mapping, Sequence
 from typing import Any
 
+import numpy as np
+
 from ftcm_core.report.page.conclusions import listed
 from ftcm_core.report.page.markup import from_markdown
 from ftcm_core.report.page.of_runs import NO_SCRIPT, again, provenance_pairs
@@ -74,7 +76,20 @@ def verdict(rows: Sequence[Mapping[str, Any]]) -> list[str]:
         )
         early = [f"{count} of {law}" for law, count in ended.items() if count]
         told.append(f"{condition}: runs that ended early: {listed(early) if early else 'none'}.")
+        told += _detected(condition, [r for r in rows if r["condition"] == condition and r["site"]])
     return told
+
+
+def _detected(condition: str, rows: Sequence[Mapping[str, Any]]) -> list[str]:
+    """Say how many faults the detector told, where there was one."""
+    having = [r for r in rows if "detection_delay" in r]
+    texts = []
+    for law in dict.fromkeys(r["controller"] for r in having):
+        own = [r["detection_delay"] for r in having if r["controller"] == law]
+        delays = [delay for delay in own if delay is not None]
+        median = f", in the median after {float(np.median(delays)):.3g} s" if delays else ""
+        texts.append(f"{len(delays)} of {len(own)} with {law}{median}")
+    return [f"{condition}: faults detected: {'; '.join(texts)}."] if texts else []
 
 
 def _plot(condition: str, rows: Sequence[Mapping[str, Any]], laws: Sequence[str]) -> dict[str, Any]:
