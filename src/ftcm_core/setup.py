@@ -10,7 +10,15 @@ setup(
     license="Apache-2.0",
     packages=find_packages(include=["ftcm_core", "ftcm_core.*"]),
     # ftcm_core/config is a link to the workspace's config/: one copy of each scenario.
-    package_data={"ftcm_core": ["py.typed", "config/**/*.yaml", "config/**/*.urdf", "config/layouts/*"]},
+    package_data={
+        "ftcm_core": [
+            "py.typed",
+            "config/**/*.yaml",
+            "config/**/*.urdf",
+            "config/layouts/*",
+            "report/page/page.*",
+        ]
+    },
     data_files=[
         ("share/ament_index/resource_index/packages", ["resource/ftcm_core"]),
         ("share/ftcm_core", ["package.xml"]),
