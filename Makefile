@@ -57,7 +57,7 @@ build: env ## Build both packages with colcon into build/ and install/
 	@$(call colcon_build,.venv,)
 
 .PHONY: run
-run: build ## Run the experiment of the paper: three controllers, one scenario; ARGS='...' for another
+run: build ## Run the experiment of the paper: three controllers, a report; ARGS='...' for another
 	@echo '==> run: ros2 run ftcm_ros experiment $(ARGS)'
 	@$(call source,.venv,); exec install/ftcm_ros/lib/ftcm_ros/experiment $(ARGS)
 

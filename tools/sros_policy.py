@@ -67,6 +67,8 @@ def rules(name: str) -> dict[tuple[str, str], list[str]]:
         reply |= {f"/{name}/{service}" for service in LIFECYCLE_SERVICES}
     if name == "injector":
         reply.add(f"/{name}/faults/*")  # one for each fault of the scenario
+    if name == "plant":
+        reply |= {"/plant/pause", "/plant/step"}
     return {
         ("topics", "publish"): sorted(publish),
         ("topics", "subscribe"): sorted(subscribe),

@@ -11,7 +11,14 @@ setup(
     packages=find_packages(include=["ftcm_core", "ftcm_core.*"]),
     # ftcm_core/config is a link to the workspace's config/: one copy of each scenario.
     package_data={
-        "ftcm_core": ["py.typed", "config/**/*.yaml", "config/**/*.urdf", "config/layouts/*", "config/rviz/*"]
+        "ftcm_core": [
+            "py.typed",
+            "config/**/*.yaml",
+            "config/**/*.urdf",
+            "config/layouts/*",
+            "config/rviz/*",
+            "report/page/page.*",
+        ]
     },
     data_files=[
         ("share/ament_index/resource_index/packages", ["resource/ftcm_core"]),
@@ -23,6 +30,8 @@ setup(
     extras_require={
         "figures": ["matplotlib>=3.6"],
         "compiled": ["numba>=0.61"],
+        "completion": ["argcomplete>=3.1"],
+        "mujoco": ["mujoco>=3.2.3"],
         "web": ["viser>=1.1", "websockets>=15"],
         "arms": ["example-robot-data>=4.4"],
     },

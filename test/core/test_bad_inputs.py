@@ -7,6 +7,7 @@ from __future__ import annotations
 import contextlib
 import copy
 import functools
+import importlib.util
 import io
 import math
 import os
@@ -123,6 +124,8 @@ def scenario_with(kind: str, name: str) -> tuple[tuple[Any, ...], dict[str, Any]
     simple = {**PAPER, "controller": {"type": "ctc"}}
     if kind != "policy":
         simple |= {"detector": None, "policies": []}
+    if kind == "plant":
+        simple |= {"robot": "urdf"}  # one that tells its links
     data = placed(simple, path, {"type": name})
     return path, from_mapping(data).to_mapping()
 
@@ -136,6 +139,8 @@ def declared() -> list[tuple[dict[str, Any], tuple[Any, ...], ParamSpec]]:
     ]
     for kind in KINDS:
         for name, cls in components(kind).items():
+            if name == "mujoco" and not importlib.util.find_spec("mujoco"):
+                continue
             if kind == "controller" and cls.needs_observer:
                 path, data = ("controller",), {**PAPER, "controller": cls().to_mapping()}
             else:
@@ -165,6 +170,8 @@ def wrong(spec: ParamSpec) -> st.SearchStrategy[Any]:
         others += [] if spec.optional else [st.none()]
         return st.one_of(*others, *([st.text().filter(lambda s: s not in spec.choices)] * bool(spec.choices)))
     bad = [NOT_NUMBERS, NOT_FINITE]
+    if spec.kind == "bool":
+        bad[0] = NOT_NUMBERS.filter(lambda v: not isinstance(v, bool))
     if math.isfinite(spec.lower):
         bad.append(
             st.integers(max_value=math.ceil(spec.lower) - 1)

@@ -183,11 +183,12 @@ def test_campaign_file_and_command_line(tmp_path, capsys):
     command = ["campaign", str(path), "--runs", "2", "--engine", "plain", "--jobs", "1", "--json"]
     assert main([*command, "--output", str(out)]) == 0
     said = capsys.readouterr()
-    assert said.err.rpartition("\r")[2].strip() == "", "what showed the progress is wiped out"
+    last = said.err.rpartition("\r")[2].strip()
+    assert last == f"ftcm: report: {out / 'report.html'}", "what showed the progress is wiped out"
     summary = json.loads(said.out)
     assert summary["campaign"]["seed"] == 5
     assert {name: r["runs"] for name, r in summary["results"].items()} == {"ftcm": 2, "smc": 2}
-    assert sorted(p.name for p in out.iterdir()) == ["runs.jsonl", "summary.json", "table.md"]
+    assert sorted(p.name for p in out.iterdir()) == ["report.html", "runs.jsonl", "summary.json", "table.md"]
     assert main([*command, "--output", str(out)]) == 2
     assert "exists already" in capsys.readouterr().err
 

@@ -115,7 +115,7 @@ def test_output_holds_the_whole_run(tmp_path: Path) -> None:
     run = ftcm("simulate", "paper", "--set", "duration=0.2", "--output", str(folder), "--json")
     assert run.returncode == 0, run.stderr
     names = {p.name for p in folder.iterdir()}
-    assert names == {"summary.json", "table.md", "scenario.yaml", "trace.npz", "figures"}
+    assert names == {"summary.json", "table.md", "report.html", "scenario.yaml", "trace.npz", "figures"}
     summary = json.loads((folder / "summary.json").read_text(encoding="utf-8"), parse_constant=pytest.fail)
     (found,) = summary["results"]
     assert {k: found[k] for k in json.loads(run.stdout)} == json.loads(run.stdout)

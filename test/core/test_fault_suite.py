@@ -14,6 +14,7 @@ from ftcm_core.campaign.fault_suite import Suite, run_suite, summary, tables
 from ftcm_core.cli.main import main
 from ftcm_core.errors import FtcmError
 from ftcm_core.faults import TOPICS
+from ftcm_core.recording.detection import detection_scores
 from ftcm_core.recording.metrics import result
 from ftcm_core.registry import components
 from ftcm_core.scenario import load
@@ -45,6 +46,27 @@ def test_every_row_is_a_run_that_can_be_done_again() -> None:
     for name in ("rms_error", "max_abs_error", "torque_total_variation"):
         assert row[name] == max(found[name])
     assert (row["site"], row["status"]) == ("sensor", "completed")
+
+
+def test_with_a_detector_a_row_says_what_it_told() -> None:
+    """Delay and verdict as in the scores of the run; without a detector there is nothing of it."""
+    detector = "detector=isolating"
+    suite = Suite(
+        **{**SHORT, "duration": 0.4}, faults=("frozen_sensor", "payload_pickup"), overrides=(detector,)
+    )
+    rows = run_suite(suite, jobs=1)
+    (found,) = [r for r in rows if (r["fault"], r["controller"]) == ("frozen_sensor", "ftcm")]
+    fault = "injection.faults=[{type: frozen_sensor, start: 0.1, joint: 2}]"
+    scores = detection_scores(simulate(load("paper", ["duration=0.4", detector, fault], "ftcm")))
+    assert scores is not None
+    (score,) = scores["faults"]
+    assert score["detected"]
+    assert (found["detection_delay"], found["verdict"], found["verdict_joint"]) == (
+        score["delay"], score["verdict"], score["verdict_joint"],
+    )  # fmt: skip
+    text = tables(rows, [])
+    assert f"{1000 * score['delay']:.3g}, {score['verdict']} {score['verdict_joint'] or ''}".strip() in text
+    assert "verdict" not in run_suite(Suite(**SHORT, faults=("frozen_sensor",)), jobs=1)[0]
 
 
 def test_by_default_every_fault_that_suits_the_robot_is_in_it() -> None:

@@ -207,6 +207,16 @@ def frozen(draw: random.Random) -> Lag:
     return lambda k: max(0, 250 - k) if 100 <= k < 250 else max(0, 280 - k) if 250 <= k < 280 and k % 3 else 0
 
 
+def in_bursts(draw: random.Random) -> Lag:
+    """What stopped at tick 100 comes in two bursts: after the first the command is fresh for one tick."""
+    return lambda k: max(0, 255 - k) if 100 <= k <= 155 else max(0, 300 - k) if 155 < k < 300 else 0
+
+
+def in_bursts_later(draw: random.Random) -> Lag:
+    """The same, a tick later."""
+    return lambda k: in_bursts(draw)(k) and in_bursts(draw)(k) + 1
+
+
 CASES = {
     "as it is": paper(),
     "limits": paper("torque_limits=[60, 120, 50]", "torque_rate_limits=[20000, 20000, 20000]"),
@@ -220,13 +230,23 @@ CASES = {
 }
 
 
-@pytest.mark.parametrize("lag", [some, frozen])
+@pytest.mark.parametrize(
+    ("lag", "of_disturbances", "braked", "stops"),
+    [
+        (some, some, 0, 0),
+        (frozen, frozen, 50, 1),
+        (in_bursts, in_bursts, 99, 2),
+        (in_bursts, in_bursts_later, 99, 2),
+    ],
+)
 @pytest.mark.parametrize("case", CASES)
-def test_what_acted_is_found_where_inputs_were_late(case: str, lag: Any) -> None:
+def test_what_acted_is_found_where_inputs_were_late(
+    case: str, lag: Any, of_disturbances: Any, braked: int, stops: int
+) -> None:
     scenario, draw = CASES[case], random.Random(4)
-    record, held = late_run(scenario, lag(draw), lag(draw))
+    record, held = late_run(scenario, lag(draw), of_disturbances(draw))
     assert held.ticks > 70
-    assert held.safe_stop == (50 if lag is frozen else 0)
+    assert held.safe_stop == braked
     found = replay(record)
     assert found.equal
     assert found.undecided == 0
@@ -234,8 +254,8 @@ def test_what_acted_is_found_where_inputs_were_late(case: str, lag: Any) -> None
     assert "the plant moved with what it held: command in " in verdict(found)
     if scenario.limits.torque is None:  # else a drive at its limit does the same whatever it gets
         assert found.held.safe_stop == held.safe_stop
-        # What went into a delay before a safe stop never comes out.
-        assert held.command - scenario.torque_delay <= found.held.command <= held.command
+        # What went into a delay before a safe stop, or the end, never comes out.
+        assert held.command - (stops + 1) * scenario.torque_delay <= found.held.command <= held.command
     assert found.held.disturbance == held.disturbance
 
 

@@ -661,3 +661,30 @@ def test_the_gains_by_rule_of_the_page() -> None:
         )  # fmt: skip
         assert trace.status == "completed"
         assert np.abs(trace.error[-1]).max() < 0.02
+
+
+def test_friction_that_is_too_stiff_for_the_step_is_told(tmp_path: Path) -> None:
+    """A light joint with Coulomb friction: one step per tick makes a motion that ten do not have."""
+    arm = {"type": "urdf", "file": write(tmp_path, arm_text([REVOLUTE] * 3, 7)), "motor_inertia": 0.002}
+    data = {
+        "robot": arm, "controller": "ctc", "observer": "do", "duration": 0.05,
+        "reference": {"type": "sine", "amplitude": 0.1, "frequency": 0.5}, "initial_state": {"position": 0.0},
+        "plant": {"robot": {"coulomb_friction": 3.0, "slip_velocity": 0.005}},
+    }  # fmt: skip
+
+    def warned(**plant: Any) -> list[str]:
+        return from_mapping({**data, "plant": {**data["plant"], **plant}}).warnings()
+
+    lines = warned()
+    assert lines
+    assert all("is too stiff for the step: rk4 follows a decay of up to 2.78 per step" in x for x in lines)
+    (least,) = {int(x.rsplit("plant.substeps to ", 1)[1].split()[0]) for x in lines[-1:]}
+    assert not [x for x in warned(substeps=200) if "stiff" in x]
+    assert not [x for x in warned(robot={"coulomb_friction": 3.0, "slip_velocity": 5.0}) if "stiff" in x]
+    assert least > 1
+    fine, coarse = (
+        simulate(from_mapping({**data, "plant": {**data["plant"], "substeps": n}})) for n in (40, 1)
+    )
+    right = simulate(from_mapping({**data, "plant": {**data["plant"], "substeps": 80}}))
+    off = [np.abs(t.velocity - right.velocity).max() for t in (fine, coarse)]
+    assert off[0] < 0.1 * off[1]

@@ -18,6 +18,12 @@ from ftcm_core.simulation import simulate
 from ftcm_ros.bags.reader import read_bag
 
 
+def differing_ticks(found: Any, expected: Any) -> list[int]:
+    """Rows in which two arrays of floats are not the same bit for bit."""
+    bits = [np.ascontiguousarray(x).view(np.int64) for x in (found, expected)]
+    return [int(k) for k in np.flatnonzero((bits[0] != bits[1]).any(axis=1))]
+
+
 def compare(path: str) -> dict[str, Any]:
     """What a bag holds, and which columns differ from the in-process run as far as it goes.
 
@@ -28,16 +34,17 @@ def compare(path: str) -> dict[str, Any]:
     trace = bag.trace
     again = simulate(trace.scenario, trace.changes)
     ticks = trace.ticks - int(np.isnan(trace.position[-1]).any())
+    differing = {
+        name: differing_ticks(trace.columns[name][:ticks], column[:ticks]) if name in trace.columns else [0]
+        for name, column in again.columns.items()
+    }
     return {
         "ticks": trace.ticks,
         "status": trace.status,
         "missing": bag.missing,
         "columns": list(trace.columns),
-        "differing": [
-            name
-            for name, column in again.columns.items()
-            if name not in trace.columns or trace.columns[name][:ticks].tobytes() != column[:ticks].tobytes()
-        ],
+        "differing": [name for name, where in differing.items() if where],
+        "differing_ticks": {n: [len(w), w[0], w[-1]] for n, w in differing.items() if w},
         "changes": [[c.kind, c.component.type_name, c.tick] for c in trace.changes],
         "plant": bag.nodes.get("plant", {}),
         "revision": json.loads(bag.metadata.get("provenance", "{}")).get("revision"),

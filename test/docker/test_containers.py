@@ -274,7 +274,7 @@ def test_a_container_that_fails_ends_the_run_and_is_named(up: Up, victim: str, f
         bag = project.bag()
         assert bag["status"] == "incomplete"
         assert bag["ticks"] > 500
-        assert not {"position", "velocity", "effort"} & set(bag["differing"])
+        assert not {"position", "velocity", "effort"} & set(bag["differing"]), bag
 
 
 @pytest.mark.parametrize("where", ["two networks", "one network"])

@@ -271,6 +271,8 @@ def test_analyse_compares_bags_and_writes_results(trace: Trace, tmp_path: Path) 
     assert "two" in run.stdout
     assert (tmp_path / "out" / "summary.json").is_file()
     assert len(list((tmp_path / "out" / "figures").glob("*.png"))) >= 6
+    page = (tmp_path / "out" / "report.html").read_text(encoding="utf-8")
+    assert f"<pre>ros2 run ftcm_ros analyse {tmp_path / 'one'} {tmp_path / 'two'} --output NEW</pre>" in page
 
 
 def unclosed(folder: Path, trace: Trace, storage: str) -> list[tuple[Path, int, int]]:

@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import html
 import json
 import os
 import shutil
@@ -103,6 +104,10 @@ def test_the_paper_experiment_over_the_graph(experiment: Experiment, tmp_path: P
     table = (tmp_path / "runs" / "test" / "table.md").read_text()
     assert "Table 2" in table
     assert "missed deadlines" not in table
+    assert run.stderr.splitlines()[-1] == "report: runs/test/report.html"
+    page = (tmp_path / "runs" / "test" / "report.html").read_text(encoding="utf-8")
+    assert "The run was in lockstep, so nothing is said about real time." in page
+    assert "ros2 run ftcm_ros experiment paper --controllers ftcm --composed" in page
 
 
 @pytest.mark.parametrize("nodes", ["--composed", pytest.param("--no-composed", marks=pytest.mark.versions)])
@@ -145,6 +150,9 @@ def test_real_time_counts_every_miss_and_holds_the_torque(
         line for line in table.splitlines() if line.startswith("| ftcm") and " / " in line and "3001" in line
     ]
     assert [c.strip() for c in row.split("|")][2:6] == ["3001", *map(str, misses.values())]
+    page = (tmp_path / "runs" / "test" / "report.html").read_text(encoding="utf-8")
+    assert f"<li>ftcm, {html.escape(summary['timing']['ftcm']['verdict'], quote=False)}.</li>" in page
+    assert '"timing":[{"title":"tick jitter' in page
 
 
 def test_real_time_without_a_miss_is_the_in_process_run(experiment: Experiment, tmp_path: Path) -> None:

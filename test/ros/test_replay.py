@@ -197,11 +197,6 @@ HIDDEN = [
             0.3,
             [],
             id="controller, long enough for a safe stop",
-            marks=pytest.mark.xfail(
-                strict=False,
-                reason="not proved where the plant, in a safe stop, follows a late torque once and brakes "
-                "again: met on a machine under load",
-            ),
         ),
         pytest.param(HIDDEN, "controller", 0.08, [], id="controller, hidden", marks=pytest.mark.slow),
         pytest.param(HIDDEN, "injector", 0.2, [], id="injector, hidden", marks=pytest.mark.slow),

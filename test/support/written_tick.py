@@ -25,8 +25,9 @@ class WrittenTick:
         """Write it.
 
         Raises:
-            NotCompilable: as of :func:`ftcm_core.compiled.program.write`.
+            NotCompilable: as of :func:`ftcm_core.compiled.program.program_for`.
         """
+        program.require_foreseen(loop.plant)
         tracer, self.text = program.write(loop)
         names: dict[str, Any] = {"numba": _Plain, "CACHED": False, "__name__": "written"}
         exec(self.text.replace("\nimport numba\n", "\n", 1), names)

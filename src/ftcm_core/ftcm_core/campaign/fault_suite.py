@@ -15,6 +15,7 @@ from ftcm_core.faults import TOPICS, CommunicationFault, Fault, JointFault
 from ftcm_core.faults.tip_force import TipFault
 from ftcm_core.parallel import run_parallel
 from ftcm_core.params import specs
+from ftcm_core.recording.detection import detection_scores
 from ftcm_core.recording.metrics import result
 from ftcm_core.recording.trace import ENDED_EARLY
 from ftcm_core.registry import components
@@ -177,6 +178,7 @@ def _run(job: _Job) -> dict[str, Any]:
         return None if ended or None in values else max(values)
 
     peak = float(np.max(np.abs(trace.command))) if not ended else math.nan
+    seen = (detection_scores(trace) or {}).get("faults") or [{}]
     return {
         **about,
         "site": job.scenario.faults[0].site if job.scenario.faults else "",
@@ -185,9 +187,15 @@ def _run(job: _Job) -> dict[str, Any]:
         "max_abs_error": worst("max_abs_error"),
         "torque_total_variation": worst("torque_total_variation"),
         "peak_torque": peak if math.isfinite(peak) else None,
+        **(
+            {"detection_delay": None, "verdict": None, "verdict_joint": None} if job.scenario.detector else {}
+        ),
+        **{new: seen[0][old] for new, old in SEEN.items() if old in seen[0]},
     }
 
 
+SEEN = {"detection_delay": "delay", "verdict": "verdict", "verdict_joint": "verdict_joint"}
+"""What a row has besides where the scenario has a detector, by its name in the scores of a run."""
 METRICS = {
     "rms_error": "RMS of the tracking error after the onset, mrad, of the worst joint",
     "max_abs_error": "Largest tracking error after the onset, mrad, of the worst joint",
@@ -195,6 +203,10 @@ METRICS = {
     "peak_torque": "Largest commanded torque of the whole run, N·m, of any joint",
 }
 """Numbers of a row, and what they are in the tables; errors are in rad in the rows."""
+
+DETECTION = (
+    "After how long the detector told the fault, ms, what it said most of the time, and of which joint"
+)
 
 
 def tables(rows: Sequence[Mapping[str, Any]], metrics: Sequence[str] = tuple(METRICS)) -> str:
@@ -217,7 +229,20 @@ def tables(rows: Sequence[Mapping[str, Any]], metrics: Sequence[str] = tuple(MET
                 texts = [_text(r, metric, best) for r in row]
                 lines.append(f"| {fault} | {joint or '–'} | {' | '.join(texts)} |")
             lines.append("")
+        if any("verdict" in r for r in mine):
+            lines += [f"**{condition}**: {DETECTION}", ""]
+            lines += [f"| fault | joint | {' | '.join(laws)} |", "|---|---|" + "---|" * len(laws)]
+            for fault, joint in dict.fromkeys((r["fault"], r["joint"]) for r in mine):
+                texts = [_said(cells.get((fault, joint, law))) for law in laws]
+                lines.append(f"| {fault} | {joint or '–'} | {' | '.join(texts)} |")
+            lines.append("")
     return "\n".join(lines)
+
+
+def _said(row: Mapping[str, Any] | None) -> str:
+    if row is None or row.get("detection_delay") is None:
+        return "–"
+    return f"{1000.0 * row['detection_delay']:,.3g}, {row['verdict']} {row['verdict_joint'] or ''}".strip()
 
 
 def _text(row: Mapping[str, Any] | None, metric: str, best: float | None) -> str:

@@ -35,7 +35,7 @@ EXTRAS = {
     "numba": ("numba", "compiled runs need it", "compiled"),
     "viser": ("viser", "ftcm watch --web needs it", "web"),
     "pinocchio": ("pin", "only tests need it, for an independent model", ""),
-    "mujoco": ("mujoco", "only tests need it, for an independent model", ""),
+    "mujoco": ("mujoco", "the plant mujoco needs it", "mujoco"),
 }
 """Of each module: its package in the index, what it is for, and the extra of ``ftcm_core`` that brings it."""
 SLOW_CLOCKS = ("hpet", "acpi_pm", "jiffies", "refined-jiffies", "pit")

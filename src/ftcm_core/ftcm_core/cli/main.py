@@ -18,6 +18,7 @@ from typing import Any
 import ftcm_core
 from ftcm_core import campaign
 from ftcm_core.cli.calibration import calibrate_command
+from ftcm_core.cli.completion import complete
 from ftcm_core.cli.detectable import detectable_command, detectable_options
 from ftcm_core.cli.doctor import doctor_command
 from ftcm_core.cli.listing import describe_command, list_command
@@ -28,6 +29,7 @@ from ftcm_core.cli.suites import add_arguments, suite_command
 from ftcm_core.cli.watching import watch_command, watch_options
 from ftcm_core.errors import FtcmError
 from ftcm_core.registry import KINDS, load_plugins
+from ftcm_core.report.figures import FORMATS
 
 
 def main(argv: Sequence[str] | None = None) -> int:
@@ -43,7 +45,10 @@ def main(argv: Sequence[str] | None = None) -> int:
         if isinstance(stream, io.TextIOWrapper):  # "Δ" must not crash on an ASCII terminal
             stream.reconfigure(errors="replace")
     try:
-        arguments = _parser().parse_args(argv)
+        parser = _parser()
+        complete(parser)
+        arguments = parser.parse_args(argv)
+        arguments.command = ("ftcm", *(sys.argv[1:] if argv is None else argv))
         if sys.stdout is None:
             return fail("standard output is closed; results go there: redirect it, e.g. > FILE", 1)
         load_plugins(arguments.plugin)
@@ -90,8 +95,14 @@ def _parser() -> argparse.ArgumentParser:
             )  # fmt: skip
             sub.add_argument("--detector-file", metavar="FILE", help="use the detector that calibrate wrote")
         sub.add_argument("--json", action="store_true", help="print one JSON object instead of tables")
-        sub.add_argument("--output", metavar="DIR", help="write results, tables and figures to a new folder")
+        sub.add_argument(
+            "--output", metavar="DIR", help="write results, tables, figures and report.html to a new folder"
+        )
         sub.add_argument("--no-figures", action="store_true", help="leave the figures out of --output")
+        sub.add_argument(
+            "--figure-format", default="png", metavar="FORMATS",
+            help=f"of the figures: any of {', '.join(FORMATS)}, separated by commas; default: png",
+        )  # fmt: skip
 
     sub = command(
         "simulate",
@@ -157,7 +168,9 @@ def _parser() -> argparse.ArgumentParser:
         help="compiled needs numba; auto: compiled where that is installed",
     )  # fmt: skip
     sub.add_argument("--json", action="store_true", help="print the summary as one JSON object")
-    sub.add_argument("--output", metavar="DIR", help="write every run and the summary to a new folder")
+    sub.add_argument(
+        "--output", metavar="DIR", help="write every run, the summary and report.html to a new folder"
+    )
 
     sub = command(
         "suite",

@@ -8,6 +8,7 @@ import dataclasses
 import functools
 import sys
 from collections.abc import Sequence
+from pathlib import Path
 from typing import Any
 
 from ftcm_core import campaign, compiled
@@ -19,7 +20,10 @@ from ftcm_core.recording.metrics import result
 from ftcm_core.recording.trace import Trace
 from ftcm_core.recording.trace_file import save_trace
 from ftcm_core.registry import components, find
-from ftcm_core.report.results import labelled, new_folder, report, to_json, write_results
+from ftcm_core.report.figures import figure_formats
+from ftcm_core.report.page.of_campaign import campaign_page
+from ftcm_core.report.page.of_runs import Background, write_page
+from ftcm_core.report.results import labelled, new_folder, report, to_json, write_results, writing
 from ftcm_core.report.table import PUBLISHED, status
 from ftcm_core.scenario import Scenario, load, read_mapping, shipped_scenarios, with_plugins
 from ftcm_core.simulation import simulate
@@ -44,6 +48,7 @@ def simulate_command(arguments: argparse.Namespace) -> int:
         overrides.insert(0, f"observer.type={arguments.observer}")
     overrides[:0] = detector_overrides(arguments.detector_file)
     scenario = load(sources[0], overrides, arguments.controller)
+    figure_formats(arguments.figure_format)
     folder = new_folder(arguments.output) if arguments.output is not None else None
     label = scenario.controller.type_name
     _warn([(label, scenario)])
@@ -58,7 +63,7 @@ def simulate_command(arguments: argparse.Namespace) -> int:
     _print_results(found if arguments.json else [found])
     if folder:
         save_trace(folder / "trace.npz", trace)
-        write_results(folder, [(label, trace)], figures=not arguments.no_figures)
+        _write(folder, [(label, trace)], arguments)
     return 0
 
 
@@ -94,6 +99,7 @@ def reproduce_command(arguments: argparse.Namespace) -> int:
 
 def _run_all(jobs: Sequence[Job], arguments: argparse.Namespace) -> int:
     """Run jobs in parallel, then print and write their results in the order of the jobs."""
+    figure_formats(arguments.figure_format)
     folder = new_folder(arguments.output) if arguments.output is not None else None
     _warn(jobs)
     found: dict[int, tuple[dict[str, Any], Trace | None]] = {}
@@ -105,8 +111,20 @@ def _run_all(jobs: Sequence[Job], arguments: argparse.Namespace) -> int:
     if folder:
         traces = [(label, found[i][1]) for i, (label, _) in enumerate(jobs)]
         kept = [(label, trace) for label, trace in traces if trace is not None]
-        write_results(folder, kept, figures=not arguments.no_figures)
+        _write(folder, kept, arguments)
     return 0
+
+
+def _write(folder: Path, traces: Sequence[tuple[str, Trace]], arguments: argparse.Namespace) -> None:
+    """Write the results of runs, and say where the report is."""
+    write_results(
+        folder,
+        traces,
+        figures=not arguments.no_figures,
+        formats=figure_formats(arguments.figure_format),
+        background=Background(command=arguments.command),
+    )
+    note(f"report: {folder / 'report.html'}")
 
 
 def _print_results(found: dict[str, Any] | list[dict[str, Any]]) -> None:
@@ -151,7 +169,13 @@ def campaign_command(arguments: argparse.Namespace) -> int:
         summary = campaign.run_campaign(
             planned, engine=arguments.engine, jobs=arguments.jobs, folder=folder, progress=show, note=note
         )
-    print(to_json(summary) if arguments.json else campaign.table(summary), flush=True)
+    text = campaign.table(summary)
+    print(to_json(summary) if arguments.json else text, flush=True)
+    if folder:
+        with writing(folder):
+            runs = campaign.read_runs(folder / "runs.jsonl")
+            write_page(folder, campaign_page(summary, runs, text, arguments.command))
+        note(f"report: {folder / 'report.html'}")
     return 0
 
 

@@ -6,9 +6,12 @@ from __future__ import annotations
 import argparse
 
 from ftcm_core.campaign import fault_suite
-from ftcm_core.cli.output import progress
+from ftcm_core.cli.calibration import detector_overrides
+from ftcm_core.cli.output import note, progress
 from ftcm_core.recording.provenance import provenance
 from ftcm_core.registry import components, find
+from ftcm_core.report.page.of_runs import write_page
+from ftcm_core.report.page.of_suite import suite_page
 from ftcm_core.report.results import new_folder, to_json, writing
 
 
@@ -27,18 +30,22 @@ def suite_command(arguments: argparse.Namespace) -> int:
         conditions=tuple(dict.fromkeys(arguments.conditions)),
         onset=arguments.onset,
         duration=arguments.duration,
-        overrides=tuple(arguments.overrides),
+        overrides=(*detector_overrides(arguments.detector_file), *arguments.overrides),
     )
     folder = new_folder(arguments.output) if arguments.output is not None else None
     with progress("run") as show:
         rows = fault_suite.run_suite(suite, jobs=arguments.jobs, progress=show)
-    text = f"{fault_suite.summary(rows)}\n{fault_suite.tables(rows)}"
-    about = {"suite": vars(suite), "rows": rows, "provenance": provenance()}
+    tables = (fault_suite.summary(rows), fault_suite.tables(rows))
+    text = "\n".join(tables)
+    origin = provenance()
+    about = {"suite": vars(suite), "rows": rows, "provenance": origin}
     print(to_json(about) if arguments.json else text, flush=True)
     if folder:
         with writing(folder):
             (folder / "summary.json").write_text(to_json(about, indent=1) + "\n", encoding="utf-8")
             (folder / "table.md").write_text(text, encoding="utf-8")
+            write_page(folder, suite_page(vars(suite), rows, tables, origin, arguments.command))
+        note(f"report: {folder / 'report.html'}")
     return 0
 
 
@@ -71,6 +78,7 @@ def add_arguments(sub: argparse.ArgumentParser) -> None:
         "--set", nargs="+", action="extend", default=[], metavar="PATH=VALUE", dest="overrides",
         help="change values in every run",
     )  # fmt: skip
+    sub.add_argument("--detector-file", metavar="FILE", help="use the detector that calibrate wrote")
     sub.add_argument("--jobs", type=int, metavar="N", help="number of processes; default: one per core")
     sub.add_argument("--json", action="store_true", help="print one JSON object")
-    sub.add_argument("--output", metavar="DIR", help="write the rows and tables to a new folder")
+    sub.add_argument("--output", metavar="DIR", help="write rows, tables and report.html to a new folder")

@@ -94,6 +94,7 @@ def program_for(loop: Loop) -> tuple[Program, Array]:
         NotCompilable: with the reason.
     """
     require_no_policies(loop)
+    require_foreseen(loop.plant)
     structure = shape(state_of(loop))
     for program in _programs:
         if program.shape == structure:
@@ -141,7 +142,6 @@ def write(loop: Loop) -> tuple[Tracer, str]:
         NotCompilable: with the reason.
     """
     tracer = Tracer()
-    require_foreseen(loop.plant)
     state = state_of(loop)
     count = sum(1 for _ in numbers(state))
     tick_lines = tracer.lines_of(lambda: _tick(tracer, loop, state))
@@ -172,7 +172,9 @@ def write(loop: Loop) -> tuple[Tracer, str]:
 
 
 def require_foreseen(plant: Any) -> None:
-    """Raise NotCompilable for a plant whose robot changes at a time that is not known from the start."""
+    """Raise NotCompilable for a plant whose engine is no Python, or whose robot changes no one knows when."""
+    if plant.plant.foreign:
+        raise NotCompilable(f"the plant {plant.plant.type_name!r} is another library's")
     if not plant.foreseen:
         raise NotCompilable("a fault changes the robot at a time that is not known from the start")
 

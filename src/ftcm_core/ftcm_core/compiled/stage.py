@@ -83,6 +83,8 @@ def stage_program(kind: str, scenario: Scenario, component: Component | None = N
     if reason := loop.tick(0, False, lambda row: None):
         raise NotCompilable(f"the run ends in its first tick: {reason}")
     stage = getattr(loop, kind)
+    if kind == "plant":
+        require_foreseen(stage)
     structure = shape(stage.state)
     for program in _programs:
         alike = (program.kind, program.shape) == (kind, structure)
@@ -141,7 +143,6 @@ def _step(tracer: Tracer, kind: str, stage: Any, joints: int, found: list[Any]) 
         alarms = run.step(y, *taken(2))
         given(*alarms)
     else:
-        require_foreseen(stage)
         run.changes = ()  # the ticks in which the robot changes are not run by the source
         u, d = taken(2)
         run.step(time_ns, u, TrueDisturbance(d))

@@ -4,7 +4,7 @@
 from __future__ import annotations
 
 from abc import abstractmethod
-from typing import Any
+from typing import Any, ClassVar
 
 from ftcm_core.registry import Component
 from ftcm_core.robots import Robot
@@ -16,6 +16,30 @@ class Plant(Component):
 
     The state is what the engine likes: two vectors, or a handle to its own memory. Nothing else looks inside.
     """
+
+    foreign: ClassVar[bool] = False
+    """Whether another library moves the robot, which cannot be compiled with the rest."""
+
+    def unsuited(self, robot: Robot, changes: bool) -> str:
+        """Why this plant cannot move a robot; empty if it can.
+
+        Args:
+            robot: the true robot.
+            changes: whether faults change it during the run.
+        """
+        del robot, changes
+        return ""
+
+    def warnings(self, robot: Robot, position: Vector, dt: float) -> list[str]:
+        """What this engine does not do well, one line each.
+
+        Args:
+            robot: the true robot.
+            position: where it starts, rad.
+            dt: tick length, s.
+        """
+        del robot, position, dt
+        return []
 
     @abstractmethod
     def init(self, robot: Robot, position: Vector, velocity: Vector) -> Any:

@@ -3,12 +3,16 @@
 
 from __future__ import annotations
 
+import math
+
 from ftcm_core.params import param
 from ftcm_core.plants import Plant
 from ftcm_core.registry import register
 from ftcm_core.robots import Robot
 from ftcm_core.signals import Vector
 
+STABLE = {"rk4": 2.78, "semi_implicit_euler": 2.0}
+"""Up to which decay per step an integrator is stable (Hairer, Wanner 1996, section IV.2)."""
 Motion = tuple[Vector, Vector]
 """Positions, rad, and velocities, rad/s."""
 
@@ -26,6 +30,20 @@ class RigidBody(Plant):
         1, unit="-", at_least=1, at_most=1000, doc="steps of the integrator per tick", source="chosen"
     )
 
+    def warnings(self, robot: Robot, position: Vector, dt: float) -> list[str]:
+        """Joints whose friction is too stiff for the step: the integrator makes a motion of its own then."""
+        limit, found = STABLE[self.integrator], []
+        for joint, name in enumerate(robot.joint_names):
+            rate = damping_rate(robot, position, joint) * dt / self.substeps
+            if rate > limit:
+                steps = math.ceil(rate / limit * self.substeps)
+                found.append(
+                    f"plant: friction of joint {name!r} is too stiff for the step: {self.integrator} follows "
+                    f"a decay of up to {limit:g} per step, near standstill it is {rate:.3g}; raise its "
+                    f"slip_velocity, or plant.substeps to {steps} or more"
+                )
+        return found
+
     def init(self, robot: Robot, position: Vector, velocity: Vector) -> Motion:
         """The motion is all there is."""
         return position, velocity
@@ -42,6 +60,26 @@ class RigidBody(Plant):
     def motion(self, state: Motion) -> Motion:
         """The state as it is."""
         return state
+
+
+def damping_rate(robot: Robot, q: Vector, joint: int) -> float:
+    """How fast friction makes the velocity of a joint decay near standstill, 1/s.
+
+    Args:
+        robot: the model.
+        q: positions, rad.
+        joint: its number, from 0.
+
+    Returns:
+        -∂q̈/∂q̇ of the joint, at a velocity that is small against any slip velocity.
+    """
+    still, n = (0.0,) * len(q), len(q)
+    step = 1e-6
+    ahead, behind = (
+        robot.forward_dynamics(q, tuple([s * step if j == joint else 0.0 for j in range(n)]), still)
+        for s in (1.0, -1.0)
+    )
+    return (behind[joint] - ahead[joint]) / (2.0 * step)
 
 
 def rk4(robot: Robot, dt: float, q: Vector, v: Vector, tau: Vector) -> Motion:

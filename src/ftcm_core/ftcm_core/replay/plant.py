@@ -7,7 +7,7 @@ is run with what may have acted, the inputs of the tick first, until it measures
 
 1. command and disturbance of the tick;
 2. one of them, or both, as in one of the last ticks; a safe stop;
-3. any command of the last ticks that gives the recorded effort, with any disturbance.
+3. a safe stop, or any command of the last ticks, that gives the recorded effort, with any disturbance.
 
 With ``torque_delay`` a held command shows in the effort that many ticks later. Then it is put in the place of
 the one that comes out of the delay.
@@ -18,7 +18,7 @@ from __future__ import annotations
 from collections import deque
 from collections.abc import Iterator
 from dataclasses import dataclass
-from itertools import islice, product
+from itertools import chain, islice, product
 from typing import Any, NamedTuple
 
 from ftcm_core.recording.trace import ENDED_EARLY
@@ -118,8 +118,6 @@ class ReplayedPlant:
         self._commands: deque[Vector] = deque([self._zeros], LAST)
         """What moved it last, the newest first."""
         self._disturbances: deque[Vector] = deque([self._zeros], LAST)
-        self._braking = False
-        """Whether that was a safe stop."""
         self._possible = [Outcome(0.0, None, self._sent(), remember(self._stage))]
         """Where it may be."""
         self._robot = self._plain.robot, self._plain.changes
@@ -233,7 +231,6 @@ class ReplayedPlant:
     def _note(self, act: Act | None) -> None:
         if act is None:
             return
-        self._braking = act.command is None
         for value, last in ((act.command, self._commands), (act.disturbance, self._disturbances)):
             if value is not None and value != last[0]:
                 last.appendleft(value)
@@ -275,21 +272,18 @@ class ReplayedPlant:
             yield Act(u, d, late, late_disturbance)
 
     def _unusual(self, k: int, said: list[Message | None]) -> Iterator[Act]:
-        """Commands of the last ticks that give the recorded effort, each with the disturbances of them.
-
-        While it brakes, first that, with the disturbances.
-        """
-        if self._braking:
-            for late, d in self._recent("disturbance", k):
-                yield Act(None, d, False, late)
+        """A safe stop, or commands of the last ticks, that give the recorded effort; with any disturbance."""
         wanted = said[0][2] if said[0] else None
         sent = self._sent_command(k)
-        for late, u in self._recent("joint_torques", k - self._delay):
-            act = Act(u if late else sent, self._disturbances[0], late, True)
+        acts = (
+            Act(u if late else sent, self._disturbances[0], late, True)
+            for late, u in self._recent("joint_torques", k - self._delay)
+        )
+        for act in chain([Act(None, self._disturbances[0])], acts):
             sent_then = self._try(k, self._possible[0].memory, act, said).sent
             if wanted is None or (sent_then is not None and sent_then[0][2] == wanted):
-                for late_disturbance, d in self._recent("disturbance", k):
-                    yield act._replace(disturbance=d, late_disturbance=late_disturbance)
+                for late, d in self._recent("disturbance", k):
+                    yield act._replace(disturbance=d, late_disturbance=late)
 
     def _sent_command(self, k: int) -> Vector:
         return next((u for (u,) in heard_at(self._record, self._computed, "joint_torques", k)), self._zeros)

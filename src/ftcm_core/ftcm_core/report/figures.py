@@ -13,6 +13,7 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from ftcm_core.errors import FtcmError, suggestion
 from ftcm_core.recording.trace import ENDED_EARLY, Array, Trace
 from ftcm_core.report.panels import MISSING, Curve, detail, grid, legend, log_panel, panel, styled, wider
 
@@ -35,13 +36,30 @@ _STYLES: tuple[tuple[str, Any], ...] = (
 """Colour (colour-blind safe, of differing lightness) and dashes, by position of the run."""
 
 
+FORMATS = ("png", "svg", "pdf")
+"""File formats of figures."""
+
+
+def figure_formats(text: str) -> tuple[str, ...]:
+    """Read formats that are separated by commas.
+
+    Raises:
+        FtcmError: one is not known.
+    """
+    found = tuple(dict.fromkeys(word.strip() for word in text.split(",")))
+    for word in found:
+        if word not in FORMATS:
+            raise FtcmError(f"--figure-format {word!r}: {suggestion(word, FORMATS)}")
+    return found
+
+
 def write_figures(traces: Sequence[Run], folder: Path, formats: Sequence[str] = ("png",)) -> list[Path]:
     """Draw every figure and write it to a folder.
 
     Args:
         traces: the runs with their labels, in the order of the legend.
         folder: where to; it is made if it does not exist.
-        formats: file formats: ``png``, ``pdf``, ``svg``.
+        formats: of :data:`FORMATS`.
 
     Returns:
         The files written.

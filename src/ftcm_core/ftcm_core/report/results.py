@@ -18,6 +18,7 @@ from ftcm_core.recording.metrics import result
 from ftcm_core.recording.provenance import provenance
 from ftcm_core.recording.trace import Trace
 from ftcm_core.report.figures import write_figures
+from ftcm_core.report.page.of_runs import NOTHING, Background, runs_page, write_page
 from ftcm_core.report.table import (
     accommodation_table,
     comparison_table,
@@ -56,8 +57,10 @@ def write_results(
     more: str = "",
     *,
     figures: bool = True,
+    formats: Sequence[str] = ("png",),
+    background: Background = NOTHING,
 ) -> None:
-    """Write ``summary.json``, ``table.md``, the scenarios and ``figures/`` of some runs.
+    """Write ``summary.json``, ``table.md``, ``report.html``, the scenarios and ``figures/`` of some runs.
 
     One run's complete scenario is ``scenario.yaml``; of several, each has ``scenario-<label>.yaml``.
 
@@ -67,6 +70,8 @@ def write_results(
         extra: more keys of ``summary.json``.
         more: what follows the tables in ``table.md``, in Markdown.
         figures: whether to draw the figures.
+        formats: their file formats.
+        background: what else ``report.html`` says.
 
     Raises:
         FtcmError: matplotlib, for the figures, is not installed, and the other files are written before; or a
@@ -82,12 +87,15 @@ def write_results(
         folder.mkdir(parents=True, exist_ok=True)
         (folder / "summary.json").write_text(to_json(summary, indent=1) + "\n", encoding="utf-8")
         (folder / "table.md").write_text(report(results, more), encoding="utf-8")
+        files = {}
         for label, trace in traces:
             if trace.scenario:
                 name = "scenario" if len(traces) == 1 else f"scenario-{_slug(label)}"
-                (folder / f"{name}.yaml").write_text(trace.scenario.to_yaml(), encoding="utf-8")
+                files[label] = f"{name}.yaml"
+                (folder / files[label]).write_text(trace.scenario.to_yaml(), encoding="utf-8")
+        write_page(folder, runs_page(summary, traces, files, more, background))
         if figures:
-            write_figures(traces, folder / "figures")
+            write_figures(traces, folder / "figures", formats)
 
 
 @contextlib.contextmanager

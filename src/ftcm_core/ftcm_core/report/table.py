@@ -58,7 +58,7 @@ def comparison_table(results: Sequence[Result]) -> str:
             [
                 *name,
                 _cell(values(result, "after_fault", "max_abs_error")),
-                _cell(values(result, "after_transient", "torque_total_variation"), _large),
+                _cell(values(result, "after_transient", "torque_total_variation"), large),
             ]
         )
     lines = [
@@ -119,7 +119,7 @@ def detection_table(results: Sequence[Result]) -> str:
             found.append(
                 [name, one["detector"], f["type"], joint, _number(f["onset"], 6), delay, joints, said]
             )
-        rate, share = _cell([one["false_alarms_per_hour"]], _large), _cell([one["false_share"]])
+        rate, share = _cell([one["false_alarms_per_hour"]], large), _cell([one["false_share"]])
         false.append(
             [name, one["detector"], str(one["false_alarms"]), _number(one["exposure"], 6), rate, share]
         )
@@ -162,9 +162,7 @@ def pooled_text(total: Result) -> str:
     if total["exposure"]:
         low, high = total["false_alarms_per_hour_95"]
         rate = total["false_alarms_per_hour"]
-        text += (
-            f", {_large(rate)} per hour (95 %: {_large(low)} to {_large(high)} if they come independently)"
-        )
+        text += f", {large(rate)} per hour (95 %: {large(low)} to {large(high)} if they come independently)"
     return text + "."
 
 
@@ -302,7 +300,8 @@ def _number(x: float | None, digits: int = 3) -> str:
     return ABSENT if x is None else f"{x:.{digits}g}"
 
 
-def _large(x: float) -> str:
+def large(x: float) -> str:
+    """Return a number that may be large, of three digits at least."""
     return f"{x:,.0f}" if x >= 100.0 else f"{x:.3g}"
 
 

@@ -11,11 +11,14 @@ import dataclasses
 import math
 from abc import abstractmethod
 from operator import add, sub
+from typing import TYPE_CHECKING
 
 from ftcm_core.params import specs
 from ftcm_core.registry import Component
-from ftcm_core.robots.serial_chain import Frame
 from ftcm_core.signals import Vector
+
+if TYPE_CHECKING:
+    from ftcm_core.robots.serial_chain import Chain, Frame
 
 RATE_STEP = 1e-5
 """Step of the central differences of :meth:`Robot.inertia_rate_torque`, s."""
@@ -96,6 +99,10 @@ class Robot(Component):
         n = len(q)
         units = [tuple([1.0 if i == j else 0.0 for i in range(n)]) for j in range(n)]
         return tuple([self.inertia_torque(q, unit) for unit in units])
+
+    def chain(self) -> Chain | None:
+        """The bodies and joints, for an engine of its own; None where the robot is its equations only."""
+        return None
 
     def unloaded(self) -> Robot:
         """Return this robot without its payload; itself where it has no parameter ``payload_mass``."""

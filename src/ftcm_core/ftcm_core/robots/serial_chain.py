@@ -53,6 +53,24 @@ class Link(NamedTuple):
     """Seen from the joint's frame."""
 
 
+class Chain(NamedTuple):
+    """All that an engine of its own needs to know of an arm."""
+
+    links: tuple[Link, ...]
+    rotors: Vector
+    """What the motors add to the diagonal of M, kg·m², or kg."""
+    viscous: Vector
+    """Viscous friction of the joints, N·m·s/rad, or N·s/m."""
+    coulomb: Vector
+    """Coulomb friction of the joints, N·m, or N."""
+    lower: tuple[float | None, ...]
+    """Smallest position of each joint, rad or m; None where there is no end."""
+    upper: tuple[float | None, ...]
+    """Largest, likewise."""
+    gravity: float
+    """Acceleration along -z of the base, m/s²."""
+
+
 Place = tuple[float, float, float, float, float, float, float]
 """A frame in the one before it: cos and sin of its turns about z and about x, and its origin (m)."""
 

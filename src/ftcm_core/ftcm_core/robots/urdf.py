@@ -13,6 +13,7 @@ from ftcm_core.registry import register
 from ftcm_core.robots import Robot, friction, solve
 from ftcm_core.robots.serial_chain import (
     Body,
+    Chain,
     Frame,
     Link,
     force_torque,
@@ -148,14 +149,32 @@ class Urdf(Robot):
     @cached_property
     def _friction(self) -> tuple[Vector, ...]:
         """Viscous and Coulomb friction and the scale of its growth, per joint; empty without friction."""
+        viscous, coulomb = self._viscous_and_coulomb
+        slip = per_joint(self.slip_velocity, self.joints)
+        return tuple(zip(viscous, coulomb, slip)) if any(viscous + coulomb) else ()
+
+    @cached_property
+    def _viscous_and_coulomb(self) -> tuple[Vector, Vector]:
         n, joints = self.joints, self.arm.joints
         viscous, coulomb = self.viscous_friction, self.coulomb_friction
-        given = (
+        return (
             tuple([x.damping for x in joints]) if viscous is None else per_joint(viscous, n),
             tuple([x.friction for x in joints]) if coulomb is None else per_joint(coulomb, n),
-            per_joint(self.slip_velocity, n),
         )
-        return tuple(zip(*given)) if any(given[0] + given[1]) else ()
+
+    def chain(self) -> Chain:
+        """The links with the payload, the motors, the friction and the ends of the file's joints."""
+        viscous, coulomb = self._viscous_and_coulomb
+        joints = self.arm.joints
+        return Chain(
+            self._links,
+            self._rotors,
+            viscous,
+            coulomb,
+            tuple([x.lower for x in joints]),
+            tuple([x.upper for x in joints]),
+            self.gravity_acceleration,
+        )
 
     def inverse_dynamics(self, q: Vector, v: Vector, a: Vector) -> Vector:
         """Torque M(q) a + h(q, v) + G(q) + F(v), N·m."""

@@ -186,6 +186,8 @@ class Scenario(Parameterised):
                 raise ParameterError(f"{place}: {needs}; robot {self.robot.type_name!r} has {joints} joints")
             if isinstance(part, Fault) and (reason := part.too_coarse(self.robot, self.dt)):
                 raise ParameterError(f"{place}.{reason}")
+        if needs := self.plant.unsuited(self.robot, any(isinstance(f, RobotFault) for f in self.faults)):
+            raise ParameterError(f"plant: {needs}")
         robot = self.robot
         for i, fault in sorted(enumerate(self.faults), key=lambda x: x[1].rank):
             try:
@@ -279,8 +281,13 @@ class Scenario(Parameterised):
         return found
 
     def warnings(self) -> list[str]:
-        """Return the warnings of its controller and its observer."""
-        return self.warnings_of(self.controller) + self.warnings_of(self.observer)
+        """Return the warnings of its controller, its observer and its plant."""
+        start = per_joint(self.initial_state.position, self.robot.joints)
+        return [
+            *self.warnings_of(self.controller),
+            *self.warnings_of(self.observer),
+            *self.plant.warnings(self.robot, start, self.dt),
+        ]
 
     def to_mapping(self) -> dict[str, Any]:
         """Return the complete scenario, every default written out, as plain data."""

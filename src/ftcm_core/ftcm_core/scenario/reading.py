@@ -77,15 +77,16 @@ def read_mapping(source: str) -> tuple[dict[str, Any], dict[str, int], str]:
 
 
 def _set_folder(data: dict[str, Any], folder: Path) -> None:
-    """Make the files of robots absolute, in place: what a scenario file names is relative to it."""
+    """Make the files of robots and plants absolute, in place: what a scenario names is relative to it."""
     plant = data.get("plant")
-    for robot in (
+    for part in (
         data.get("robot"),
         data.get("model"),
+        plant,
         plant.get("robot") if isinstance(plant, dict) else None,
     ):
-        if isinstance(robot, dict) and isinstance(file := robot.get("file"), str) and file:
-            robot["file"] = file if file.startswith(PACKAGE) else str(folder.absolute() / file)
+        if isinstance(part, dict) and isinstance(file := part.get("file"), str) and file:
+            part["file"] = file if file.startswith(PACKAGE) else str(folder.absolute() / file)
 
 
 def load(source: str, overrides: Sequence[str] = (), controller: str | None = None) -> Scenario:
@@ -143,7 +144,9 @@ def apply_override(data: dict[str, Any], text: str) -> None:
             raise ScenarioError(f"--set {label}: {here} is a single value; it has no {shown(key)} inside")
         if depth == len(keys) - 1:
             if key == "type" and node.get("type") != value:
+                robot = {k: v for k, v in node.items() if k == "robot" and keys[0] == "plant"}
                 node.clear()
+                node.update(robot)  # whose robot it is, is no parameter of an engine
             node[index] = value
             return
         inner = node[index] if isinstance(node, list) else node.get(index, {})
@@ -262,7 +265,8 @@ class _Reader:
         parameters = {k: v for k, v in value.items() if k != "type"}
         self.check_keys(parameters, path, ["type", *specs(cls)])
         if kind == "policy":  # components inside it are kept as text
-            parameters = {k: json.dumps(v) if isinstance(v, dict) else v for k, v in parameters.items()}
+            inside = [k for k, v in parameters.items() if k in COMPONENTS and isinstance(v, dict)]
+            parameters |= {k: json.dumps(parameters[k]) for k in inside}
         return cls, parameters
 
     def changed(self, robot: Robot, value: Any, path: str) -> Robot:

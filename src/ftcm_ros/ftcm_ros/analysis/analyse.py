@@ -10,8 +10,10 @@ from pathlib import Path
 
 from ftcm_core.errors import FtcmError
 from ftcm_core.registry import load_plugins
+from ftcm_core.report.figures import FORMATS, figure_formats
 from ftcm_core.report.results import labelled, new_folder, report, to_json, write_results
 from ftcm_core.scenario import load
+from ftcm_ros.analysis.background import background
 from ftcm_ros.analysis.replay import prove, summarised
 from ftcm_ros.analysis.timing import hop_times, percentiles, timing_table, write_figure
 from ftcm_ros.bags.reader import BagContents, read_bag
@@ -29,7 +31,16 @@ def build_parser() -> argparse.ArgumentParser:
         "--scenario", help="scenario of the runs, for bags that do not carry it: a file or a shipped name"
     )
     parser.add_argument(
-        "--output", type=Path, metavar="DIR", help="write summary.json, table.md and figures/ there"
+        "--output",
+        type=Path,
+        metavar="DIR",
+        help="write summary.json, table.md, report.html and figures/ there",
+    )
+    parser.add_argument(
+        "--figure-format",
+        default="png",
+        metavar="FORMATS",
+        help=f"of the figures: any of {', '.join(FORMATS)}, separated by commas; default: png",
     )
     parser.add_argument(
         "--repair", type=Path, metavar="NEW", help="write a bag that was not closed anew, closed, to NEW"
@@ -72,6 +83,7 @@ def analyse(options: argparse.Namespace) -> int:
     """
     load_plugins(options.plugin)
     scenario = load(options.scenario) if options.scenario else None
+    formats = figure_formats(options.figure_format)
     folder = new_folder(options.output) if options.output else None
     bags = [read_bag(path, scenario) for path in options.bags]
     if options.repair:
@@ -103,9 +115,12 @@ def analyse(options: argparse.Namespace) -> int:
     timing = timing_table([(label, bag) for (label, _), bag in zip(traces, bags)])
     more = "\n".join(text for text in (timing, summarised(proofs)) if text)
     if folder is not None:
-        write_results(folder, traces, extra, more)
-        write_figure(samples, folder / "figures" / "timing.png")
+        contents = [(label, bag) for (label, _), bag in zip(traces, bags)]
+        told = background(("ros2", "run", "ftcm_ros", "analyse", *options.words), contents, samples, proofs)
+        write_results(folder, traces, extra, more, formats=formats, background=told)
+        write_figure(samples, folder / "figures", formats)
         print(f"results: {folder}/summary.json, table.md, figures/", file=sys.stderr)
+        print(f"report: {folder}/report.html", file=sys.stderr)
     if options.json:
         print(to_json({"results": results, **extra}, indent=1))
     else:
@@ -128,6 +143,7 @@ def main(argv: list[str] | None = None) -> None:
     """Entry point of ``ros2 run ftcm_ros analyse``."""
     try:
         options = build_parser().parse_args(argv)
+        options.words = sys.argv[1:] if argv is None else argv
         if sys.stdout is None:
             raise OSError("standard output is closed; results go there: redirect it, e.g. > FILE")
         status = analyse(options)

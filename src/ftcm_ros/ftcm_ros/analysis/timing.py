@@ -3,8 +3,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -16,6 +17,12 @@ from ftcm_ros.bags.reader import BagContents
 from ftcm_ros.timing.pacing import CAUSES
 from ftcm_ros.transport.topics import DETECTION, DISTURBANCE, ESTIMATE, JOINT_STATES, TORQUES
 
+TITLES = {
+    "jitter": "tick jitter, absolute",
+    **{name: f"hop: {name}" for name in ("observer", "controller", "injector", "detector")},
+    "chain": "whole chain",
+}
+"""What :func:`hop_times` gives, in the order in which it is drawn."""
 PERCENTILES = {"p50": 50.0, "p99": 99.0, "p999": 99.9, "max": 100.0}
 
 
@@ -108,7 +115,45 @@ nodes kept busy:
 """
 
 
-def write_figure(runs: list[tuple[str, dict[str, npt.NDArray[np.float64]]]], file: Path) -> None:
+def exceedance(values: npt.NDArray[np.float64]) -> tuple[npt.NDArray[np.float64], npt.NDArray[np.float64]]:
+    """Return values, µs, at least 1, and the share of samples that reach each.
+
+    At most 800, the largest among them.
+    """
+    ordered = np.sort(np.abs(values))
+    share = 1.0 - np.arange(len(ordered)) / len(ordered)
+    keep = np.unique(np.geomspace(1, len(ordered), 400).astype(int)) - 1
+    keep = np.unique(np.concatenate([keep, len(ordered) - 1 - keep]))
+    return np.maximum(ordered[keep], 1.0), share[keep]
+
+
+def panels(samples: Iterable[Mapping[str, npt.NDArray[np.float64]]]) -> dict[str, str]:
+    """Return the title of each quantity that a run has, by its name."""
+    having = {name for found in samples for name in found}
+    return {name: title for name, title in TITLES.items() if name in having}
+
+
+def page_curves(
+    runs: Sequence[tuple[str, Mapping[str, npt.NDArray[np.float64]]]],
+) -> tuple[dict[str, Any], ...]:
+    """Return how often latency and jitter exceed a value, as ``report.html`` draws it."""
+    found = []
+    for name, title in panels(samples for _, samples in runs).items():
+        curves = []
+        for run, (_, samples) in enumerate(runs):
+            if name in samples:
+                values, share = exceedance(samples[name])
+                curves.append({"run": run, "x": values.tolist(), "y": share.tolist()})
+        title = f"{title}: share of ticks above, over µs"
+        found.append({"title": title, "unit": "µs", "logX": True, "logY": True, "curves": curves})
+    return tuple(found)
+
+
+def write_figure(
+    runs: list[tuple[str, dict[str, npt.NDArray[np.float64]]]],
+    folder: Path,
+    formats: Sequence[str] = ("png",),
+) -> None:
     """Draw how often latency and jitter exceed a value, one line per run, one panel per quantity.
 
     Raises:
@@ -119,33 +164,25 @@ def write_figure(runs: list[tuple[str, dict[str, npt.NDArray[np.float64]]]], fil
         from matplotlib.figure import Figure
     except ImportError:
         raise FtcmError('figures need matplotlib: pip install "ftcm_core[figures]"') from None
-    names = [
-        n
-        for n in ("jitter", "observer", "controller", "injector", "detector", "chain")
-        if any(n in samples for _, samples in runs)
-    ]
-    if not names:
+    titles = panels(samples for _, samples in runs)
+    if not titles:
         return
-    figure = Figure(figsize=(2.4 * len(names) + 1.0, 3.6), layout="constrained")
+    figure = Figure(figsize=(2.4 * len(titles) + 1.0, 3.6), layout="constrained")
     FigureCanvasAgg(figure)
-    titles = {"jitter": "tick jitter, absolute", "chain": "whole chain"}
-    for axes, name in zip(np.atleast_1d(figure.subplots(1, len(names), sharey=True)), names):
+    for axes, name in zip(np.atleast_1d(figure.subplots(1, len(titles), sharey=True)), titles):
         for (label, samples), style in zip(runs, ("-", "--", ":", "-.") * len(runs)):
             if name in samples:
-                values = np.sort(np.abs(samples[name]))
-                exceeding = 1.0 - np.arange(len(values)) / len(values)
-                keep = np.unique(np.geomspace(1, len(values), 400).astype(int)) - 1
-                keep = np.unique(np.concatenate([keep, len(values) - 1 - keep]))
-                axes.plot(np.maximum(values[keep], 1.0), exceeding[keep], style, label=label)
+                axes.plot(*exceedance(samples[name]), style, label=label)
         axes.set_xscale("log")
         axes.set_yscale("log")
-        axes.set_title(titles.get(name, f"hop: {name}"), fontsize=10)
+        axes.set_title(titles[name], fontsize=10)
         axes.set_xlabel("µs")
         axes.tick_params(which="minor", labelbottom=False)
         axes.grid(alpha=0.3)
     first = figure.axes[0]
     first.set_ylabel("share of ticks above")
     first.legend(fontsize=8)
-    with writing(file.parent):
-        file.parent.mkdir(parents=True, exist_ok=True)
-        figure.savefig(file, dpi=130)
+    with writing(folder):
+        folder.mkdir(parents=True, exist_ok=True)
+        for suffix in formats:
+            figure.savefig(folder / f"timing.{suffix}", dpi=130)

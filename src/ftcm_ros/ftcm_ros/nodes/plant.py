@@ -31,11 +31,12 @@ from ftcm_core.signals import NANOSECONDS, TrueDisturbance, Vector, seconds
 from ftcm_core.simulation.stages import PlantStage
 from ftcm_ros.nodes.fault_desk import FaultDesk, FaultServices
 from ftcm_ros.nodes.main import run
+from ftcm_ros.nodes.pause import Pause
 from ftcm_ros.nodes.stand_in import StandIn
 from ftcm_ros.nodes.suite_node import POLL_NS, SuiteNode
 from ftcm_ros.timing.clocks import ClockWatch
 from ftcm_ros.timing.durations import Durations
-from ftcm_ros.timing.pacing import PACERS, Misses
+from ftcm_ros.timing.pacing import PACERS, Misses, check_speed
 from ftcm_ros.transport.codec import CodecError, JointSample
 from ftcm_ros.transport.composed import Composition
 from ftcm_ros.transport.float_array import FloatArray, joints_of
@@ -80,6 +81,8 @@ class PlantNode(SuiteNode):
         timeout: int = self.setting("torque_timeout")
         if timeout < 0:
             raise FtcmError(f"torque_timeout: {timeout} is out of range; expected ticks, or 0: never")
+        self.speed: float = self.setting("speed")
+        check_speed(self.speed, self.mode)
         self._torque_timeout_ns = timeout * self.scenario.dt_ns or sys.maxsize
         self._measurements = self.plane.sender(JOINT_STATES, self.codec.state)
         self._truths = self.plane.sender(TRUE_STATE, self.codec.state)
@@ -108,6 +111,7 @@ class PlantNode(SuiteNode):
         )
         if self.stands_in:
             self.fault_services = FaultServices(self, self.faults)
+        self.pause = Pause(self, self._resume)
         self._clocks = ClockWatch()
         self.state = "waiting"
         self.detail = ""
@@ -133,7 +137,8 @@ class PlantNode(SuiteNode):
         joints = self.scenario.robot.joints
         self.stage = StandIn(self.scenario) if self.stands_in else self.staged(PlantStage(self.scenario))
         self.misses = Misses()
-        self.pacer = PACERS[self.mode](self.scenario.dt_ns, misses=self.misses)
+        self.pacer = PACERS[self.mode](round(self.scenario.dt_ns / self.speed), misses=self.misses)
+        self.pause.clear()
         self.tick = 0
         self.time_ns = 0
         self.torque, self.disturbance = Input(joints), Input(joints)
@@ -168,7 +173,7 @@ class PlantNode(SuiteNode):
 
     def step(self) -> None:
         """One round of the main loop: wait for the end of the tick, go on to the next."""
-        if self._finished or not self.active:
+        if self._finished or not self.active or (self.pause.on and not self.pacer.waits):
             self.plane.poll(POLL_NS)
         elif self.pacer.wait(self._ready, self._poll):
             self._end_tick()
@@ -216,7 +221,12 @@ class PlantNode(SuiteNode):
                 self._end_tick()
 
     def _ready(self) -> bool:
-        return self._moved and not self._finished and not self._recorder_behind()
+        return self._moved and not self._finished and not self.pause.on and not self._recorder_behind()
+
+    def _resume(self) -> None:
+        """Begin ticks again after a pause: the present one ends one tick from now."""
+        self.pacer.begin()
+        self._go_on()
 
     def _recorder_behind(self) -> bool:
         if not self.pacer.waits or self.recorder_window == 0:
@@ -239,6 +249,7 @@ class PlantNode(SuiteNode):
                 self.misses.late_disturbance += 1
             self._move()
         self.ticks += 1
+        self.pause.ticked()
         self.faults.look(self.time_ns)
         if self._raised:
             self._finish("diverged", self.time_ns, self._raised)
@@ -356,6 +367,8 @@ class PlantNode(SuiteNode):
         if self.state in ENDED_EARLY:
             level = "error"
         message = f"{self.state}: {self.detail}" if self.detail else self.state
+        if self.pause.paused:
+            message = f"paused in tick {self.tick}"
         if misses.total:
             message += f", {misses.total} deadlines missed"
         safety = "safe_stop" if self.active and self.stopping_safely else "normal"
@@ -370,6 +383,9 @@ class PlantNode(SuiteNode):
             "tick": self.tick,
             "last_tick": self.scenario.last_tick,
             "elapsed_seconds": round(self.elapsed or time.monotonic() - self._began, 3),
+            "paused": self.pause.paused,
+            "pauses": self.pause.count,
+            "paused_seconds": round(self.pause.seconds, 3),
             "missed_deadlines": misses.total,
             **asdict(misses),
             "asked_again": self.asked_again,

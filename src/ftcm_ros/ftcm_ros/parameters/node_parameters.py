@@ -39,7 +39,7 @@ class Setting(NamedTuple):
         if isinstance(self.default, float):
             number = isinstance(value, (int, float)) and not isinstance(value, bool)
             if not (number and math.isfinite(value) and value >= 0):
-                raise FtcmError(f"{self.name}: {value!r} is out of range; expected seconds, at least 0")
+                raise FtcmError(f"{self.name}: {value!r} is out of range; expected a number, at least 0")
             return float(value)
         return value
 
@@ -115,6 +115,7 @@ SETTINGS: dict[str, tuple[Setting, ...]] = {
             "lockstep: wait for every tick's inputs; real_time: one tick per dt on the steady clock",
             ("lockstep", "real_time"),
         ),
+        Setting("speed", 1.0, "real_time: seconds of the run in a second, e.g. 0.5: half as fast"),
         Setting(
             "recorder_window",
             0,

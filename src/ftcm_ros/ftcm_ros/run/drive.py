@@ -151,7 +151,7 @@ class Driver:
                 health = {"message": status.message, **{v.key: v.value for v in status.values}}
                 self.health[name] = health
                 if self._watchdog is not None:
-                    self._watchdog.hear(name, int(health["ticks"]))
+                    self._watchdog.hear(name, int(health["ticks"]), health.get("paused") == "True")
 
     def close(self) -> None:
         """Leave the graph."""

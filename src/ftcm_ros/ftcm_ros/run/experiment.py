@@ -19,12 +19,14 @@ from typing import Any
 
 from ftcm_core.errors import FtcmError
 from ftcm_core.registry import load_plugins
+from ftcm_core.report.figures import FORMATS, figure_formats
 from ftcm_core.scenario import load
 from ftcm_ros.parameters.node_parameters import setting
 from ftcm_ros.run.external_nodes import AmbientDomain
 from ftcm_ros.run.graph_run import Interrupted, Run, composed, use_domain
 from ftcm_ros.run.progress import say
 from ftcm_ros.run.run_report import report
+from ftcm_ros.timing.pacing import check_speed
 from ftcm_ros.transport.domain import Domain
 from ftcm_ros.transport.joining import JoinError
 
@@ -50,6 +52,13 @@ def build_parser() -> argparse.ArgumentParser:
     )
     parser.add_argument(
         "--mode", choices=("lockstep", "real_time"), default="lockstep", help="default: lockstep"
+    )
+    parser.add_argument(
+        "--speed",
+        type=float,
+        default=1.0,
+        metavar="FACTOR",
+        help="real time: seconds of the run in a second, e.g. 0.5: half as fast (default: 1)",
     )
     parser.add_argument(
         "--composed",
@@ -102,7 +111,13 @@ def build_parser() -> argparse.ArgumentParser:
     parser.add_argument("--priority", type=int, default=0, help="SCHED_FIFO priority of the nodes")
     parser.add_argument("--lock-memory", action="store_true", help="lock the nodes' memory")
     parser.add_argument("--processors", default="", help="processors for the nodes, e.g. 0,1; default: all")
-    parser.add_argument("--no-figures", action="store_true", help="write the table only")
+    parser.add_argument("--no-figures", action="store_true", help="leave the figures out")
+    parser.add_argument(
+        "--figure-format",
+        default="png",
+        metavar="FORMATS",
+        help=f"of the figures: any of {', '.join(FORMATS)}, separated by commas; default: png",
+    )
     parser.add_argument(
         "--replay",
         action="store_true",
@@ -119,6 +134,8 @@ def run_experiment(options: argparse.Namespace) -> int:
     """
     if not options.patience >= 2.0:  # nodes speak once a second
         raise FtcmError(f"--patience {options.patience:g} is too short; expected 2 s or more")
+    figure_formats(options.figure_format)
+    check_speed(options.speed, options.mode)
     load_plugins(options.plugin)
     names = options.controllers or (PAPER_CONTROLLERS if options.scenario == "paper" else [None])
     scenarios = [load(options.scenario, options.set, controller=n) for n in names]
@@ -187,6 +204,7 @@ def run_experiment(options: argparse.Namespace) -> int:
 def main(argv: list[str] | None = None) -> None:
     """Entry point of ``ros2 run ftcm_ros experiment``."""
     options = build_parser().parse_args(argv)
+    options.words = sys.argv[1:] if argv is None else argv
     options.stop_requested = False
 
     def stop(signum: int, frame: Any) -> None:

@@ -135,7 +135,7 @@ class Run:
         scenario_file = self.logs / "scenario.yaml"
         scenario_file.parent.mkdir(parents=True, exist_ok=True)
         scenario_file.write_text(self.scenario.to_yaml(), encoding="utf-8")
-        names = ("mode", "stages", "data_path", "priority", "lock_memory", "processors", "storage")
+        names = ("mode", "speed", "stages", "data_path", "priority", "lock_memory", "processors", "storage")
         values = {name: getattr(self.options, name) for name in names}
         parameters = run_parameters(self.scenario, scenario_file, self.bag, values)
         self.bag.parent.mkdir(parents=True, exist_ok=True)
@@ -174,7 +174,7 @@ class Run:
                     say(f"warning: {self.label}: {refused}")
                 self.health[name] = health
                 if self.watchdog is not None:
-                    self.watchdog.hear(name, int(health["ticks"]))
+                    self.watchdog.hear(name, int(health["ticks"]), health.get("paused") == "True")
 
     def _follow(self) -> None:
         with Progress(self.label, self.scenario.last_tick, self.scenario.dt) as progress:

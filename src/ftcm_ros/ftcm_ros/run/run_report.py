@@ -7,7 +7,9 @@ import argparse
 from pathlib import Path
 
 from ftcm_core.errors import FtcmError
+from ftcm_core.report.figures import figure_formats
 from ftcm_core.report.results import write_results
+from ftcm_ros.analysis.background import background
 from ftcm_ros.analysis.replay import Proof, prove, summarised
 from ftcm_ros.analysis.timing import hop_times, percentiles, timing_table, write_figure
 from ftcm_ros.bags.reader import BagContents, read_bag
@@ -88,12 +90,19 @@ def report(folder: Path, runs: list[Run], options: argparse.Namespace) -> list[s
     if proofs:
         extra["replay"] = {label: proof.to_mapping() for label, proof in proofs}
     more = "\n".join(text for text in (timing_table(contents), summarised(proofs)) if text)
-    write_results(folder, traces, extra, more, figures=not options.no_figures)
+    formats = figure_formats(options.figure_format)
+    verdicts = {run.label: run.timing["verdict"] for run in runs if "verdict" in run.timing}
+    told = background(
+        ("ros2", "run", "ftcm_ros", "experiment", *options.words), contents, samples, proofs, verdicts
+    )
+    write_results(
+        folder, traces, extra, more, figures=not options.no_figures, formats=formats, background=told
+    )
     if not options.no_figures:
-        write_figure(samples, folder / "figures" / "timing.png")
+        write_figure(samples, folder / "figures", formats)
     print((folder / "table.md").read_text(encoding="utf-8").rstrip())
-    for run in runs:
-        if "verdict" in run.timing:
-            say(f"{run.label}: {run.timing['verdict']}")
+    for label, verdict in verdicts.items():
+        say(f"{label}: {verdict}")
     say(f"results: {folder}/summary.json, table.md, figures/, bags/")
+    say(f"report: {folder}/report.html")
     return unreadable + unproved

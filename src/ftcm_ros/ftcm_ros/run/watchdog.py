@@ -50,9 +50,11 @@ class Watchdog:
         """When each node's count of ticks last changed."""
         self._ticks = dict.fromkeys(self._nodes, -1)
 
-    def hear(self, node: str, ticks: int) -> None:
-        """Take in that a node has done so many ticks."""
+    def hear(self, node: str, ticks: int, paused: bool = False) -> None:
+        """Take in that a node has done so many ticks; of a run that is paused, none are expected."""
         self._heard[node] = self._clock()
+        if paused:
+            self._moved = dict.fromkeys(self._moved, self._heard[node])
         if ticks != self._ticks[node]:
             self._ticks[node], self._moved[node] = ticks, self._heard[node]
 
@@ -87,5 +89,5 @@ class Watchdog:
         waited_for = [n for n in CHAIN if n in self._ticks and self._ticks[n] <= done]
         if not waited_for and self._ticks["recorder"] < done:
             return "recorder"
-        # The one furthest behind: another may wait for it, or its last report may be from before its last tick.
+        # The one furthest behind: another may wait for it, or its last report is a tick old.
         return min(waited_for, key=self._ticks.__getitem__) if waited_for else "plant"

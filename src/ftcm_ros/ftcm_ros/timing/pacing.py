@@ -6,12 +6,14 @@ A pacer is given the time and a way to wait, so that it is tested with a fake cl
 
 from __future__ import annotations
 
+import math
 import time
 from abc import ABC, abstractmethod
 from collections.abc import Callable
 from dataclasses import dataclass, field, fields
 from typing import ClassVar
 
+from ftcm_core.errors import FtcmError
 from ftcm_core.signals import NANOSECONDS
 
 LEAD_NS = 60_000
@@ -128,6 +130,18 @@ class RealTime(Pacer):
         self.misses.plant_overrun += skipped
         self.deadline += (1 + skipped) * self.dt_ns
         return True
+
+
+def check_speed(speed: float, mode: str) -> None:
+    """Check how many seconds of the run shall pass in one.
+
+    Raises:
+        FtcmError: none can, or there is no clock to keep.
+    """
+    if not 0.0 < speed < math.inf:
+        raise FtcmError(f"speed: {speed:g} is out of range; expected a factor above 0")
+    if speed != 1.0 and mode != "real_time":
+        raise FtcmError(f"speed: {speed:g} is not possible with mode: {mode}, which keeps no clock")
 
 
 PACERS: dict[str, type[Pacer]] = {"lockstep": Lockstep, "real_time": RealTime}
