@@ -15,7 +15,7 @@ from pathlib import Path
 from types import TracebackType
 from typing import Any
 
-VARIABLE = "FTCM_BROWSER"
+VARIABLE = "FTCM_CHROMIUM"
 """Environment variable that names the program, where none is on the path."""
 NAMES = ("chromium", "chromium-browser", "google-chrome", "chrome", "chrome-headless-shell")
 TEXT = "(document.body ? document.body.innerText : '')"

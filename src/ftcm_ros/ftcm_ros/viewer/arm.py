@@ -93,7 +93,9 @@ def drawing(robot: Robot, thickness: float = 1.0) -> Drawing | None:
     floor = 0.0 if high else -PEDESTAL * reach
     radii = [thickness * reach * (THICK + (THIN - THICK) * j / max(1, n - 1)) for j in range(n)]
     foot = Drum((0.0, 0.0, floor + 0.3 * radii[0]), 2.4 * radii[0], 0.3 * radii[0])
-    bodies = [Body((Rod((0.0, 0.0, floor), tuple(origins[0].tolist()), 1.15 * radii[0]),), foot)]
+    thick = 1.15 * radii[0]
+    low = min(floor + thick, float(origins[0][2]))  # its round end is in the foot
+    bodies = [Body((Rod((0.0, 0.0, low), tuple(origins[0].tolist()), thick),), foot)]
     for j, (frame, radius) in enumerate(zip(frames, radii)):
         far = seen_from(frame, frames[j + 1].origin)
         corner = (far[0], far[1], 0.0)

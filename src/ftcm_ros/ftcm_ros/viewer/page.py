@@ -22,8 +22,8 @@ from ftcm_ros.viewer.operating import PAUSE, Operator, fault_order, pause_order,
 
 PLOT_SECONDS, TEXT_SECONDS = 0.2, 0.5
 """How often plots and texts are sent anew, s; the arm goes with every look."""
-PLOT_HEIGHT, AXES = 125, (26, 58)
-"""Of a plot and of its two axes, px."""
+PLOT_HEIGHT, AXES = 125, ((26, 50), (58, 18))
+"""Of a plot; of its two axes the size, and between two numbers there, px."""
 SIDE_WIDTH, PLOTS_WIDTH = 350, 430
 """px"""
 PHONE, SHEET = 0.58, 0.45
@@ -152,7 +152,7 @@ class Plots:
         self._plots = [plot for plot in PLOTS if detector or not plot.detector]
         key = " &nbsp;".join(f"{tables.dot(tables.colour(j))} {name}" for j, name in enumerate(joints))
         with place:
-            gui.add_html(tables.block(key))
+            gui.add_html(tables.block(f"{key} &nbsp;over t, s"))
             self._choice = gui.add_dropdown("joint", (ALL, *joints), initial_value=ALL)
         self._chosen = ""
         self._told: set[str] = set()
@@ -205,7 +205,7 @@ class Plots:
             scales["alarm"] = {"range": (0.0, 1.0)}
             shade = {"label": "alarm", "scale": "alarm", "width": 0, "fill": "rgba(220, 38, 38, 0.15)"}
             series += [{**shade, "points": {"show": False}} for _ in self._which()]
-        axes = tuple({"size": size, "ticks": {"size": 4}} for size in AXES)
+        axes = tuple({"size": size, "space": space, "ticks": {"size": 4}} for size, space in AXES)
         data, title = self._data(plot, table)
         with self._place:
             return self._gui.add_uplot(
@@ -296,7 +296,7 @@ class Page:
         self._joints = self._titled("joints")
         self._controls_place = gui.add_folder("controls", visible=False)
         self._nodes = self._titled("nodes")
-        self._note = gui.add_html("")
+        self._note = gui.add_html(tables.note("The arm and the plots come with a run."))
         panel = gui.add_panel()
         self._tab = panel.add_tab("plots")
         panel.dock_right()

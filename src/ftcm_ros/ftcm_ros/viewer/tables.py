@@ -122,7 +122,7 @@ def joints(view: View) -> str:
         below = f'<div style="width:0;white-space:nowrap">{" ".join(said)}</div>' if said else ""
         rows.append((f"{dot(colour(j))} {escape(joint)}{below}", *cells))
     head = ("joint", "e, rad", "u, N·m", "d, N·m", "estimate")
-    return table(head, rows, right=(1, 2, 3, 4)) if rows else ""
+    return table(head, rows, right=(1, 2, 3, 4)) if rows else block("none yet")
 
 
 def _cell(value: float, form: str) -> str:
