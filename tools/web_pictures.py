@@ -15,7 +15,7 @@ import time
 from collections.abc import Sequence
 from pathlib import Path
 
-from browser import TEXT, VARIABLE, Browser, found
+from browser import DESKTOP, PHONE, missing, opened
 
 RUN = (
     "paper", "--controllers", "ftcm", "--no-figures", "--name", "pictures",
@@ -25,11 +25,11 @@ RUN = (
 )  # fmt: skip
 UNTIL = 16.0
 """Time of the run at which the pictures are taken: there is a fault, s."""
-SIZES = {"viewer": (1280, 800, False), "viewer_phone": (390, 844, True)}
-"""Of the pictures, px; and whether of a phone."""
-WAIT_SECONDS = 120.0
-"""Generous ceiling for that."""
-TIME = f"parseFloat(({TEXT}.match(/t = ([0-9.]+) s/) || [0, 0])[1])"
+LOOKS = {"viewer": DESKTOP, "viewer_phone": PHONE}
+"""Of the pictures."""
+START_SECONDS = 5.0
+"""After so long the page is served, s."""
+TIME = "parseFloat((document.body.innerText.match(/t = ([0-9.]+) s/) || [0, 0])[1])"
 """What the page says of the time."""
 
 
@@ -38,19 +38,17 @@ def take(folder: Path, names: Sequence[str], port: int) -> None:
 
     Args:
         folder: where to.
-        names: of :data:`SIZES`.
+        names: of :data:`LOOKS`.
         port: of the page.
     """
     for name in names:
-        width, height, phone = SIZES[name]
-        with tempfile.TemporaryDirectory() as own, Browser(Path(own), width, height, phone=phone) as browser:
-            browser.open(f"http://127.0.0.1:{port}")
-            browser.until(f"{TIME} > {UNTIL}", WAIT_SECONDS)
-            browser.value(
+        with opened(f"http://127.0.0.1:{port}", LOOKS[name]) as page:
+            page.wait_for_function(f"{TIME} > {UNTIL}")
+            page.evaluate(
                 "document.querySelectorAll('.mantine-Notification-closeButton').forEach(x => x.click())"
             )
             time.sleep(6.0)  # the arm is drawn, and that it is without a graphics card is no longer told
-            browser.picture(folder / f"{name}.png")
+            page.screenshot(path=folder / f"{name}.png")
 
 
 def main() -> int:
@@ -63,8 +61,8 @@ def main() -> int:
     parser.add_argument("--port", type=int, default=8087, help="of the page (default: 8087)")
     parser.add_argument("--domain-id", type=int, default=87, help="ROS domain of the run (default: 87)")
     options = parser.parse_args()
-    if not found():
-        print(f"web_pictures: error: no Chromium on the path; name one in {VARIABLE}", file=sys.stderr)
+    if missing():
+        print(f"web_pictures: error: {missing()}", file=sys.stderr)
         return 2
     options.folder.mkdir(parents=True, exist_ok=True)
     domain, port = ["--domain-id", str(options.domain_id)], ["--port", str(options.port)]
@@ -76,7 +74,8 @@ def main() -> int:
     with tempfile.TemporaryDirectory() as runs:
         processes = [subprocess.Popen(c, cwd=runs, stdout=subprocess.DEVNULL) for c in commands]
         try:
-            take(options.folder, list(SIZES)[: 1 + options.phone], options.port)
+            time.sleep(START_SECONDS)
+            take(options.folder, list(LOOKS)[: 1 + options.phone], options.port)
         finally:
             for process in reversed(processes):
                 process.send_signal(signal.SIGINT)

@@ -8,20 +8,20 @@ import math
 import re
 import signal
 import socket
-import time
 from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 from unittest.mock import MagicMock
 
 import numpy as np
+import psutil
 import pytest
 
 pytest.importorskip("rclpy", reason="ROS 2 (rclpy) is not installed")
 
 from rclpy.node import Node
 
-from browser import TEXT, VARIABLE, Browser, found
+from browser import DESKTOP, PHONE, missing, opened
 from ftcm_core.cli.watching import HOST, PORT, check_watch
 from ftcm_core.errors import FtcmError
 from ftcm_core.robots.puma560 import Puma560
@@ -54,8 +54,8 @@ LABEL = "external_torque_0"
 def need_browser() -> None:
     """Skip the test where there is nothing to show the page with."""
     pytest.importorskip("viser", reason="viser is not installed: pip install 'ftcm_core[web]'")
-    if not found():
-        pytest.skip(f"no Chromium on the path; one may be named in {VARIABLE}")
+    if missing():
+        pytest.skip(missing())
 
 
 def free_port() -> int:
@@ -379,12 +379,16 @@ def test_without_a_run_it_is_said(operator: Operator, monkeypatch: pytest.Monkey
 
 
 UPLOTS = "Object.values((window.__viserTestpoints || {}).uplots || {})"
+"""Of viser's page, the curves that are drawn."""
+
+
+def chromiums() -> list[psutil.Process]:
+    """The processes of the browser that this test has started."""
+    return [one for one in psutil.Process().children(recursive=True) if "chrom" in one.name()]
 
 
 @pytest.mark.slow
-def test_a_browser_shows_a_run_that_is_on(
-    live: Callable[..., Any], start: Callable[..., Any], tmp_path: Path
-) -> None:
+def test_a_browser_shows_a_run_that_is_on(live: Callable[..., Any], start: Callable[..., Any]) -> None:
     need_browser()
     port = free_port()
     viewer = start("run.watch", "--web", "--control", "--port", str(port))
@@ -393,28 +397,28 @@ def test_a_browser_shows_a_run_that_is_on(
     changes = ("duration=600", "detector=residual_threshold", FAULTS)
     run = live("paper", "--controllers", "ftcm", *(word for x in changes for word in ("--set", x)))
     run.first_tick(("controller", "ftcm"), ("observer", "do"), ("detector", "residual_threshold"))
-    with Browser(tmp_path / "browser", 1280, 800) as browser:
-        browser.open(f"http://127.0.0.1:{port}")
-        browser.until(f"/t = [0-9.]+ s/.test({TEXT})")
-        browser.until(f"{UPLOTS}.length === 4 && {UPLOTS}.every(u => u.chart.data[0].length > 20)")
-        text = browser.text()
+    asked: list[str] = []
+    errors: list[str] = []
+    with opened(f"http://127.0.0.1:{port}", DESKTOP) as page:
+        page.on("request", lambda request: asked.append(request.url))
+        page.on("websocket", lambda socket: asked.append(socket.url))
+        page.on("pageerror", lambda error: errors.append(str(error)))
+        page.reload()
+        moved = "parseFloat(document.body.innerText.match(/t = ([0-9.]+) s/)[1])"
+        page.wait_for_function(f"{UPLOTS}.length === 4 && {UPLOTS}.every(u => u.chart.data[0].length > 20)")
+        text = page.inner_text("body")
         for said in (*ALL_NODES, "joint1", "joint3", "ftcm", f"{LABEL} waits"):
             assert said in text
-        first, second = [
-            float(browser.value(f"{TEXT}.match(/t = ([0-9.]+) s/)[1]")) for _ in (0, time.sleep(2.0))
-        ]
-        assert second > first, "it moves"
-        browser.press("arm")
-        browser.until(f"{TEXT}.includes('{LABEL} ACTS')")
-        assert browser.errors == []
-        assert all(f"//127.0.0.1:{port}" in address or address.startswith(("data:", "blob:", "about:"))
-                   for address in browser.asked), "it asks nobody else"  # fmt: skip
-        browser.process.kill()
-    with Browser(tmp_path / "another", 390, 844, phone=True) as browser:
-        browser.open(f"http://127.0.0.1:{port}")
-        browser.until(f"{TEXT}.includes('{LABEL} ACTS')")
+        page.wait_for_function(f"{moved} > {page.evaluate(moved)}")
+        page.get_by_text("arm", exact=True).click()
+        page.wait_for_function(f"document.body.innerText.includes('{LABEL} ACTS')")
+    assert errors == []
+    ours = (f"http://127.0.0.1:{port}", f"ws://127.0.0.1:{port}", "data:", "blob:")
+    assert [address for address in asked if not address.startswith(ours)] == [], "it asks nobody else"
+    with opened(f"http://127.0.0.1:{port}", PHONE) as page:
+        page.wait_for_function(f"document.body.innerText.includes('{LABEL} ACTS')")
         run.interrupt()
-        browser.until(f"{TEXT}.includes('silent')")
+        page.wait_for_function("document.body.innerText.includes('silent')")
     viewer.send_signal(signal.SIGINT)
     _, err = viewer.communicate(timeout=HANG_SECONDS)
     assert (viewer.returncode, err) == (0, "")
@@ -426,14 +430,19 @@ def test_a_browser_that_hangs_changes_nothing(
 ) -> None:
     need_browser()
     port, changes = free_port(), ["duration=8", "sensor={type: encoder}"]
-    start("run.watch", "--web", "--port", str(port))
+    viewer = start("run.watch", "--web", "--port", str(port))
+    assert viewer.stdout
+    assert viewer.stdout.readline()
     run = live("paper", "--controllers", "smc", *(word for change in changes for word in ("--set", change)))
-    with Browser(tmp_path / "browser", 1280, 800) as browser:
-        browser.open(f"http://127.0.0.1:{port}")
-        browser.until(f"/t = [0-9.]+ s/.test({TEXT})")
-        browser.process.send_signal(signal.SIGSTOP)
+    with opened(f"http://127.0.0.1:{port}", DESKTOP) as page:
+        page.wait_for_function("/t = [0-9.]+ s/.test(document.body.innerText)")
+        hung = chromiums()
+        assert hung
+        for process in hung:
+            process.suspend()
         run.end()
-        browser.process.send_signal(signal.SIGCONT)
+        for process in hung:
+            process.resume()
     bag = read_bag(tmp_path / "runs" / "test" / "bags" / "smc")
     assert (bag.missing, bag.damage) == ({}, "")
     assert same(bag.trace, simulate(load("paper", changes, controller="smc")))
