@@ -49,9 +49,7 @@ NODE_ARGUMENTS = (
 )
 """Arguments of ``node.launch.py``: the nodes' own parameters; empty: the node's default."""
 VIEWER_ARGUMENTS = (
-    EXPERIMENT_ARGUMENTS[0],
-    next(a for a in EXPERIMENT_ARGUMENTS if a.name == "set"),
-    next(a for a in EXPERIMENT_ARGUMENTS if a.name == "plugins"),
+    *(a for a in EXPERIMENT_ARGUMENTS if a.name in ("scenario", "set", "plugins")),
     Setting("rviz", True, "whether RViz is started"),
 )
 """Arguments of ``viewer.launch.py``."""
