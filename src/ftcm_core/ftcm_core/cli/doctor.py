@@ -36,6 +36,7 @@ EXTRAS = {
     "viser": ("viser", "ftcm watch --web needs it", "web"),
     "pinocchio": ("pin", "only tests need it, for an independent model", ""),
     "mujoco": ("mujoco", "the plant mujoco needs it", "mujoco"),
+    "argcomplete": ("argcomplete", "the shell completes ftcm's words with it", "completion"),
 }
 """Of each module: its package in the index, what it is for, and the extra of ``ftcm_core`` that brings it."""
 SLOW_CLOCKS = ("hpet", "acpi_pm", "jiffies", "refined-jiffies", "pit")
