@@ -21,6 +21,9 @@ setup(
     extras_require={
         "figures": ["matplotlib>=3.6"],
         "compiled": ["numba>=0.61"],
+        "statistics": ["scipy>=1.11"],
+        "parquet": ["pyarrow>=14"],
+        "tune": ["optuna>=5.0", "scipy>=1.11"],
         "arms": ["example-robot-data>=4.4"],
     },
     entry_points={"console_scripts": ["ftcm = ftcm_core.cli:main"]},

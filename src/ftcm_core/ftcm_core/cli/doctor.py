@@ -33,6 +33,9 @@ NEEDED = {"numpy": "1.26", "PyYAML": "6.0.1", "tabulate": "0.9", "tqdm": "4.66"}
 EXTRAS = {
     "matplotlib": ("matplotlib", "figures need it", "figures"),
     "numba": ("numba", "compiled runs need it", "compiled"),
+    "scipy": ("scipy", "tests of a campaign's comparisons, and even sampling, need it", "statistics"),
+    "pyarrow": ("pyarrow", "a campaign's runs as Parquet need it", "parquet"),
+    "optuna": ("optuna", "tuning needs it", "tune"),
     "pinocchio": ("pin", "only tests need it, for an independent model", ""),
     "mujoco": ("mujoco", "only tests need it, for an independent model", ""),
 }

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The command ``ftcm``: simulate, compare, campaign, suite, calibrate, replay, list, describe and others.
+"""The command ``ftcm``: simulate, compare, campaign, suite, calibrate, replay, list and others.
 
 Results go to stdout, warnings, progress and errors to stderr. Exit status: 0 done (a run that diverges is a
 result), 1 the machine failed (disk, memory) or a replay differs, 2 a mistake in what was asked, 130
@@ -82,6 +82,11 @@ def _parser() -> argparse.ArgumentParser:
         )  # fmt: skip
         return sub
 
+    def parameter_file(sub: argparse.ArgumentParser) -> None:
+        sub.add_argument(
+            "--params", metavar="FILE", help="use the controller and observer of a file, such as one by tune"
+        )
+
     def shared(sub: argparse.ArgumentParser, *, overrides: bool = True) -> None:
         if overrides:
             sub.add_argument(
@@ -105,6 +110,7 @@ def _parser() -> argparse.ArgumentParser:
     sub.add_argument("--controller", metavar="NAME", help="use this controller")
     sub.add_argument("--observer", metavar="NAME", help="use this observer")
     sub.add_argument("--engine", choices=("plain", "compiled"), default="plain", help="compiled needs numba")
+    parameter_file(sub)
     shared(sub)
 
     sub = command(
@@ -150,7 +156,10 @@ def _parser() -> argparse.ArgumentParser:
         help="change values in every run",
     )  # fmt: skip
     sub.add_argument("--detector-file", metavar="FILE", help="use the detector that calibrate wrote")
-    sub.add_argument("--controllers", nargs="+", metavar="NAME", help="run every draw with each of these")
+    parameter_file(sub)
+    sub.add_argument("--sampling", choices=campaign.SAMPLINGS, help="how draws are spread; default: random")
+    for kind in ("controller", "observer", "detector"):
+        sub.add_argument(f"--{kind}s", nargs="+", metavar="NAME", help="run every draw with each of these")
     sub.add_argument("--jobs", type=int, metavar="N", help="number of processes; default: one per core")
     sub.add_argument(
         "--engine", choices=campaign.ENGINES, default="auto",
@@ -158,6 +167,11 @@ def _parser() -> argparse.ArgumentParser:
     )  # fmt: skip
     sub.add_argument("--json", action="store_true", help="print the summary as one JSON object")
     sub.add_argument("--output", metavar="DIR", help="write every run and the summary to a new folder")
+    sub.add_argument(
+        "--resume",
+        action="store_true",
+        help="go on with the campaign in the folder of --output that was ended",
+    )
 
     sub = command(
         "suite",
