@@ -99,6 +99,7 @@ def test_a_parameter_file_is_taken_by_simulate_and_campaign(tmp_path, capsys):
         ("observers: [od]", "no observer 'od'; did you mean 'do'?"),
         ("observers: [do]\nset: ['observer={type: eso}']", "observer: is set, and observers are given too"),
         ("detectors: [glr]\nvary: {detector.type: 'choice(glr, cusum)'}", "detector.type: is set, and"),
+        ("contenders: {a: []}\nset: [observer=eso]", "observer: is set, and contenders are given too"),
         ("sampling: 5", "sampling: 5 is none"),
     ],
 )

@@ -81,8 +81,9 @@ class Campaign:
                 find(kind, name)
             if names and self.contenders:
                 raise FtcmError(f"{key}: contenders are given too; give one of them")
-            for path in sorted(set_as_a_whole & {kind, f"{kind}.type"}) if names else ():
-                raise FtcmError(f"{path}: is set, and {key} are given too; give one of them")
+            given = key if names else "contenders"
+            for path in sorted(set_as_a_whole & {kind, f"{kind}.type"}) if getattr(self, given) else ():
+                raise FtcmError(f"{path}: is set, and {given} are given too; give one of them")
 
     def run_list(self) -> list[Run]:
         """Return all runs: of each draw, one with each contender."""

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The command ``ftcm``: simulate, compare, campaign, suite, calibrate, replay, list and others.
+"""The command ``ftcm``: simulate, compare, campaign, tune, suite, calibrate, replay, list and others.
 
 Results go to stdout, warnings, progress and errors to stderr. Exit status: 0 done (a run that diverges is a
 result), 1 the machine failed (disk, memory) or a replay differs, 2 a mistake in what was asked, 130
@@ -25,6 +25,7 @@ from ftcm_core.cli.output import drop_stdout, fail
 from ftcm_core.cli.replaying import replay_command, replay_options
 from ftcm_core.cli.runs import campaign_command, compare_command, reproduce_command, simulate_command
 from ftcm_core.cli.suites import add_arguments, suite_command
+from ftcm_core.cli.tuning import tune_command, tune_options
 from ftcm_core.cli.watching import watch_command, watch_options
 from ftcm_core.errors import FtcmError
 from ftcm_core.registry import KINDS, load_plugins
@@ -172,6 +173,14 @@ def _parser() -> argparse.ArgumentParser:
         action="store_true",
         help="go on with the campaign in the folder of --output that was ended",
     )
+
+    sub = command(
+        "tune",
+        tune_command,
+        "find the parameters of a law by trials, and compare before and after on other runs",
+        "ftcm tune config/tune/ftcm.yaml --output results/ftcm",
+    )
+    tune_options(sub)
 
     sub = command(
         "suite",
