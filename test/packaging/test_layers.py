@@ -54,7 +54,8 @@ def test_core_imports_nothing_of_ros(root):
 
 
 def test_core_works_without_its_extras(root):
-    done = import_all(root, "ftcm_core", {"matplotlib", "numba", "scipy", "pyarrow", "optuna"}, messages=False)
+    extras = {"matplotlib", "numba", "scipy", "pyarrow", "optuna"}
+    done = import_all(root, "ftcm_core", extras, messages=False)
     assert done.returncode == 0, done.stderr
 
 

@@ -5,14 +5,15 @@ Candidates come in batches of a fixed size, and every batch has a sampler of its
 So the search depends neither on the number of processes nor on whether it was ended and resumed in between:
 of an ended search the complete batches are kept. A candidate that failed is not run again. With one
 objective, one that is worse than the median after as many runs is not either (Optuna's MedianPruner). The
-first candidate is the start, as far as it lies in the ranges.
+first candidate is the start, as far as it lies in the ranges. Optuna gets the logarithms of the objectives.
 """
 
 from __future__ import annotations
 
+import math
 import os
 import warnings
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -26,7 +27,11 @@ from ftcm_core.tuning.trials import Candidate, measure
 JOURNAL = "journal.log"
 NAME = "tune"
 OUTCOME = "outcome"
-"""Attribute of a trial in the journal: constraints, runs, why not more."""
+"""Attribute of a trial in the journal: objectives, constraints, runs, why not more."""
+
+
+SMALLEST = 1e-300
+"""Objectives that are smaller, or zero, count as this."""
 
 
 def search(
@@ -72,12 +77,13 @@ def search(
         def prune(step: int, still: list[Candidate], trial_of: Any = trial_of) -> None:
             for candidate in still if one and step + 1 < tuning.training.runs else ():
                 trial = trial_of[id(candidate)]
-                trial.report(candidate.objectives(tuning.objectives)[0], step)
+                trial.report(_scale(candidate.objectives(tuning.objectives))[0], step)
                 candidate.stopped = bool(trial.should_prune())
 
         measure(tuning, candidates, workers, engine, prune)
         for candidate, trial in zip(candidates, asked):
             outcome = {
+                "objectives": candidate.objectives(tuning.objectives),
                 "constraints": candidate.constraints(tuning.limits),
                 "runs": len(candidate.results),
                 "said": "; ".join(candidate.warnings) or candidate.failure,
@@ -87,11 +93,16 @@ def search(
             for name, value in zip(_constraint_names(tuning), outcome["constraints"]):
                 trial.set_constraint(name, value)
             state = optuna.trial.TrialState.PRUNED if candidate.stopped else None
-            study.tell(trial, None if state else candidate.objectives(tuning.objectives), state=state)
+            study.tell(trial, None if state else _scale(outcome["objectives"]), state=state)
         done += len(asked)
         if progress:
             progress(done, tuning.trials)
     return [_plain(trial) for trial in study.trials]
+
+
+def _scale(objectives: Sequence[float]) -> list[float]:
+    """Objectives as the search sees them: their decades, as those of a front span several."""
+    return [math.log10(max(x, SMALLEST)) for x in objectives]
 
 
 def _start(tuning: Tuning, space: Mapping[str, Any]) -> dict[str, Any]:
@@ -232,7 +243,7 @@ def _plain(trial: Any) -> dict[str, Any]:
         "number": trial.number,
         "parameters": dict(trial.params),
         "state": "stopped" if stopped else "complete",
-        "objectives": None if stopped else list(trial.values),
+        "objectives": None if stopped else outcome["objectives"],
         "constraints": outcome["constraints"],
         "feasible": not stopped and max(outcome["constraints"]) <= 0.0,
         "runs": outcome["runs"],
