@@ -10,10 +10,12 @@ import time
 import numpy as np
 import pytest
 
+from ftcm_core import compiled
 from ftcm_core.cli import main
 from ftcm_core.errors import FtcmError
 from ftcm_core.recording.metrics import METRICS, windows
 from ftcm_core.scenario import load
+from ftcm_core.scenario.parameter_files import parameter_overrides
 from ftcm_core.simulation import simulate
 from ftcm_core.tuning.plan import tuning_from_file
 from ftcm_core.tuning.running import choose, pareto
@@ -92,6 +94,7 @@ def test_the_best_is_no_worse_than_the_start_in_the_other_objectives():
         ("loguniform(0.5, 20)", "uniform(-1, 20)", "controller.gamma1: -1 is out of range"),
         ("loguniform(0.5, 20)", "normal(2, 1)", "controller.gamma1: normal has no ends"),
         ("loguniform(0.5, 20)", "uniform(3)", "controller.gamma1: 'uniform(3)' is not uniform(LOW, HIGH)"),
+        ("controller.gamma1", "controller.gamma1.0", "controller.gamma1 is 2.0, which has no entry '0'"),
         ("controller.gamma1", "plant.substeps", "expected a parameter of the law or the observer"),
         ("[after_fault.mean", "[after_falt.mean", "no window 'after_falt'; did you mean 'after_fault'?"),
         ("torque_total_variation]", "torque_variation]", "no metric 'torque_variation'; did you mean"),
@@ -169,8 +172,6 @@ def test_the_objectives_are_those_of_the_runs(whole, trials, tmp_path):
     tuning = tuning_from_file(written(tmp_path))
     found = []
     for run in tuning.training.run_list():
-        from ftcm_core.scenario.parameter_files import parameter_overrides
-
         settings = [*parameter_overrides(str(whole / "best.yaml")), *tuning.training.settings(run)]
         trace = simulate(load("paper", settings))
         rows = windows(trace)
@@ -203,6 +204,20 @@ def test_neither_processes_nor_luck_matter(whole, tmp_path, capsys):
     assert json.loads(other[0])["parameters"] != json.loads(
         (whole / "trials.jsonl").read_text().splitlines()[0]
     )
+
+
+@pytest.mark.parametrize("told", [1, 6, 20])
+def test_of_an_ended_tuning_whole_batches_are_kept(whole, tmp_path, capsys, told):
+    """The journal is cut behind the result of so many trials, batches being of four, and in the next line."""
+    file, output = written(tmp_path), tmp_path / "b"
+    output.mkdir()
+    (output / "tune.json").write_bytes((whole / "tune.json").read_bytes())
+    lines = (whole / "journal.log").read_bytes().splitlines(keepends=True)
+    results = [i for i, line in enumerate(lines) if b'"values":[' in line]
+    end = results[told - 1] + 1
+    (output / "journal.log").write_bytes(b"".join(lines[:end]) + b"".join(lines[end:])[:9])
+    assert main(["tune", file, "--engine", "plain", "--jobs", "1", "--output", str(output), "--resume"]) == 0
+    assert contents(output) == contents(whole)
 
 
 @pytest.mark.slow
@@ -268,3 +283,29 @@ def test_the_shipped_files_can_be_tuned(root, law):
     same = ("trials", "batch", "seed", "objectives", "limits", "training", "held_out")
     other = tuning_from_file(str(root / "config" / "tune" / "ftcm.yaml"))
     assert all(getattr(tuning, key) == getattr(other, key) for key in same), "the same procedure and budget"
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("law", ["ftcm", "smc", "nftsmc"])
+def test_the_shipped_parameters_are_better_than_table_1_in_the_paper_s_experiment(root, law):
+    """In no objective worse, in the mean over the joints, and the torque within the robot's limits."""
+    pytest.importorskip("numba", reason="numba is not installed")
+    found = []
+    for settings in ([], parameter_overrides(str(root / "config" / "tuned" / f"{law}.yaml"))):
+        scenario = load("paper", settings, law)
+        assert scenario.warnings() == []
+        trace = compiled.simulate(scenario)
+        assert trace.status == "completed"
+        rows = windows(trace)
+        error = METRICS["mean_abs_error"][0](trace, rows["after_fault"]).mean()
+        variation = METRICS["torque_total_variation"][0](trace, rows["after_transient"]).mean()
+        found.append((error, variation))
+    assert found[1][0] < found[0][0]
+    assert found[1][1] < found[0][1]
+    assert (METRICS["torque_peak"][0](trace, rows["whole"]) <= [97.6, 186.4, 89.4]).all()
+
+
+@pytest.mark.pure
+def test_the_page_shows_the_shipped_file(root):
+    text = (root / "config" / "tune" / "ftcm.yaml").read_text("utf-8")
+    assert f"```yaml\n{text.rstrip()}\n```\n" in (root / "docs" / "tuning.md").read_text("utf-8")

@@ -123,6 +123,7 @@ def _check_range(parameter: Variation, start: Scenario) -> None:
     declared = specs(type(component))
     if name not in declared:
         raise FtcmError(f"parameters: {parameter.path}: unknown parameter; {suggestion(name, declared)}")
+    value_at(start, parameter.path)
     if parameter.kind == "normal":
         raise FtcmError(
             f"parameters: {parameter.path}: {parameter.kind} has no ends; expected uniform, loguniform, "
@@ -133,6 +134,24 @@ def _check_range(parameter: Variation, start: Scenario) -> None:
             declared[name].check(parse_yaml(text, parameter.path)[0])
         except ParameterError as error:
             raise FtcmError(f"parameters: {parameter.path}: {error}") from None
+
+
+def value_at(scenario: Scenario, path: str) -> Any:
+    """Return the value of a component's parameter, or of one joint: ``controller.c``, ``controller.c.0``.
+
+    Raises:
+        FtcmError: there is no such entry.
+    """
+    kind, name, *index = path.split(".")
+    value = getattr(getattr(scenario, kind), name)
+    for place in index:
+        if not isinstance(value, tuple) or not place.isdecimal() or int(place) >= len(value):
+            raise FtcmError(
+                f"parameters: {path}: {kind}.{name} is {shown(value)}, which has no entry {shown(place)}; "
+                f"set a list first, e.g. set: ['{kind}.{name}=[1, 1, 1]']"
+            )
+        value = value[int(place)]
+    return value
 
 
 def tuning_from_file(source: str) -> Tuning:

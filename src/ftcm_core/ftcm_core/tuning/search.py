@@ -21,7 +21,7 @@ from ftcm_core.campaign.variation import Variation
 from ftcm_core.errors import FtcmError
 from ftcm_core.parallel import Workers
 from ftcm_core.random_streams import stream_key
-from ftcm_core.tuning.plan import Tuning
+from ftcm_core.tuning.plan import Tuning, value_at
 from ftcm_core.tuning.trials import Candidate, measure
 
 JOURNAL = "journal.log"
@@ -82,7 +82,7 @@ def search(
 
         measure(tuning, candidates, workers, engine, prune)
         for candidate, trial in zip(candidates, asked):
-            outcome = {
+            outcome: dict[str, Any] = {
                 "objectives": candidate.objectives(tuning.objectives),
                 "constraints": candidate.constraints(tuning.limits),
                 "runs": len(candidate.results),
@@ -107,12 +107,10 @@ def _scale(objectives: Sequence[float]) -> list[float]:
 
 def _start(tuning: Tuning, space: Mapping[str, Any]) -> dict[str, Any]:
     """What the first candidate takes over of the start: the parameters that lie in their ranges."""
-    found = {}
+    found: dict[str, Any] = {}
+    start = tuning.start
     for path, distribution in space.items():
-        kind, name, *index = path.split(".")
-        value = getattr(getattr(tuning.start, kind), name)
-        for place in index:
-            value = value[int(place)]
+        value = value_at(start, path)
         text = str(value)
         if isinstance(value, (int, float)) and hasattr(distribution, "low"):
             if distribution.low <= value <= distribution.high:
