@@ -87,10 +87,11 @@ def run_tuning(
             _prepare(tuning, engine, note)
         start = Candidate(())
         measure(tuning, [start], workers, engine)
-        trials = search(tuning, folder, workers, engine, resume=resume, progress=progress)
+        objectives = start.objectives(tuning.objectives)
+        trials = search(tuning, folder, workers, engine, objectives, resume=resume, progress=progress)
     (folder / "trials.jsonl").write_text("".join(to_json(t) + "\n" for t in trials), encoding="utf-8")
     before: dict[str, Any] = {
-        "objectives": start.objectives(tuning.objectives),
+        "objectives": objectives,
         "feasible": max(start.constraints(tuning.limits)) <= 0.0,
         "constraints": start.constraints(tuning.limits),
         "said": "; ".join(start.warnings) or start.failure,

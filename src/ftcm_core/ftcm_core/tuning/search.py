@@ -5,7 +5,8 @@ Candidates come in batches of a fixed size, and every batch has a sampler of its
 So the search depends neither on the number of processes nor on whether it was ended and resumed in between:
 of an ended search the complete batches are kept. A candidate that failed is not run again. With one
 objective, one that is worse than the median after as many runs is not either (Optuna's MedianPruner). The
-first candidate is the start, as far as it lies in the ranges. Optuna gets the logarithms of the objectives.
+first candidate is the start, as far as it lies in the ranges. Optuna gets the logarithms of the objectives. With several of them
+it is told, as a constraint, to be in none worse than the start: what lies beyond is a front without end.
 """
 
 from __future__ import annotations
@@ -39,6 +40,7 @@ def search(
     folder: Path,
     workers: Workers,
     engine: str,
+    start: Sequence[float],
     *,
     resume: bool,
     progress: Callable[[int, int], None] | None = None,
@@ -50,6 +52,7 @@ def search(
         folder: where the journal is or will be.
         workers: who runs.
         engine: as of a campaign.
+        start: objectives of the start.
         resume: whether a journal of the same search is there.
         progress: called with the trials done and their number, first before the first.
 
@@ -92,6 +95,9 @@ def search(
             trial.set_user_attr(OUTCOME, outcome)
             for name, value in zip(_constraint_names(tuning), outcome["constraints"]):
                 trial.set_constraint(name, value)
+            for metric, x, x0 in zip(tuning.objectives, *map(_scale, (outcome["objectives"], start))):
+                if not one:
+                    trial.set_constraint(f"{'.'.join(metric)} as at the start", x - x0)
             state = optuna.trial.TrialState.PRUNED if candidate.stopped else None
             study.tell(trial, None if state else _scale(outcome["objectives"]), state=state)
         done += len(asked)
