@@ -5,8 +5,10 @@ Candidates come in batches of a fixed size, and every batch has a sampler of its
 So the search depends neither on the number of processes nor on whether it was ended and resumed in between:
 of an ended search the complete batches are kept. A candidate that failed is not run again. With one
 objective, one that is worse than the median after as many runs is not either (Optuna's MedianPruner). The
-first candidate is the start, as far as it lies in the ranges. Optuna gets the logarithms of the objectives. With several of them
-it is told, as a constraint, to be in none worse than the start: what lies beyond is a front without end.
+first candidate is the start, as far as it lies in the ranges.
+
+Optuna gets the logarithms of the objectives. With several of them it is told, as a constraint, to be in none
+worse than the start: what lies beyond is a front without end.
 """
 
 from __future__ import annotations
