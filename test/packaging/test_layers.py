@@ -54,7 +54,8 @@ def test_core_imports_nothing_of_ros(root):
 
 
 def test_core_works_without_its_extras(root):
-    done = import_all(root, "ftcm_core", {"matplotlib", "numba"}, messages=False)
+    extras = {"matplotlib", "numba", "scipy", "pyarrow", "optuna"}
+    done = import_all(root, "ftcm_core", extras, messages=False)
     assert done.returncode == 0, done.stderr
 
 
@@ -78,7 +79,7 @@ def test_a_run_in_process_loads_neither_ros_nor_extras(root):
         check=False,
     )
     assert done.returncode == 0, done.stderr
-    assert not {"rclpy", "rosbags", "ftcm_ros", "numba", "matplotlib"} & set(done.stdout.split())
+    assert not {"rclpy", "rosbags", "ftcm_ros", "numba", "matplotlib", "scipy"} & set(done.stdout.split())
 
 
 @pytest.mark.ros

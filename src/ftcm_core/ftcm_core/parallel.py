@@ -29,25 +29,52 @@ def run_parallel(
         items: picklable.
         jobs: number of processes; the number of cores by default. With one, no process is started.
     """
-    workers = min(len(items), jobs or os.cpu_count() or 1)
-    if workers < 2:
-        for index, item in enumerate(items):
-            yield index, function(item)
-        return
-    pool: ProcessPoolExecutor | None = None
-    # Unlike as_completed(), it holds no lock of an unfinished future that an interrupt would leave locked,
-    # for the pool to wait for without end.
-    done: SimpleQueue[Future[R]] = SimpleQueue()
-    try:
+    with Workers(min(len(items), jobs or os.cpu_count() or 1)) as workers:
+        yield from workers.each(function, items)
+
+
+class Workers:
+    """Processes that stay while they are given work, part after part.
+
+    Args:
+        count: how many; with one, or none, the work is done in this process.
+    """
+
+    def __init__(self, count: int) -> None:
+        self._count = count
+        self._pool: ProcessPoolExecutor | None = None
+
+    def __enter__(self) -> Workers:
+        return self
+
+    def __exit__(self, kind: type[BaseException] | None, *rest: object) -> None:
+        if self._pool is None:
+            return
+        if kind is not None:
+            for child in multiprocessing.active_children():
+                child.terminate()
+        # Waiting, as Python's own end of a pool that is still ending now and then complains about that.
+        self._pool.shutdown(cancel_futures=True)
+
+    def each(self, function: Callable[[T], R], items: Sequence[T]) -> Iterator[tuple[int, R]]:
+        """Run a function on items; yield as :func:`run_parallel`, whose arguments these are."""
+        if self._count < 2:
+            for index, item in enumerate(items):
+                yield index, function(item)
+            return
+        # Unlike as_completed(), it holds no lock of an unfinished future that an interrupt would leave
+        # locked, for the pool to wait for without end.
+        done: SimpleQueue[Future[R]] = SimpleQueue()
         with _children_ignore_interrupts():  # it starts a process of its own, which watches its semaphores
-            pool = ProcessPoolExecutor(
-                workers,
-                mp_context=multiprocessing.get_context("spawn"),
-                initializer=_begin,
-                initargs=(plugins(),),
-            )
+            if self._pool is None:
+                self._pool = ProcessPoolExecutor(
+                    self._count,
+                    mp_context=multiprocessing.get_context("spawn"),
+                    initializer=_begin,
+                    initargs=(plugins(),),
+                )
             futures: dict[Future[R], int] = {
-                pool.submit(function, item): index for index, item in enumerate(items)
+                self._pool.submit(function, item): index for index, item in enumerate(items)
             }
             for future in futures:
                 future.add_done_callback(done.put)
@@ -55,14 +82,6 @@ def run_parallel(
             future = done.get()
             index = futures.pop(future)  # so that a finished result is not held twice
             yield index, future.result()
-    except BaseException:
-        for child in multiprocessing.active_children():
-            child.terminate()
-        raise
-    finally:
-        if pool is not None:
-            # Waiting, as Python's own end of a pool that is still ending now and then complains about that.
-            pool.shutdown(cancel_futures=True)
 
 
 def _begin(sources: tuple[str, ...]) -> None:

@@ -1,22 +1,28 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What a campaign runs: a scenario, what varies, how often, with which controllers."""
+"""What a campaign runs: a scenario, what varies, how often, with which contenders."""
 
 from __future__ import annotations
 
 import contextlib
 import copy
+import itertools
 import os
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
+from ftcm_core.campaign.sampling import SAMPLINGS, draws
 from ftcm_core.campaign.variation import Variation, parse_variation
 from ftcm_core.errors import FtcmError, ScenarioError, shown, suggestion
 from ftcm_core.registry import find
 from ftcm_core.scenario import Scenario, apply_override, from_mapping, read_mapping, with_plugins
+from ftcm_core.scenario.parameter_files import parameter_overrides
 
 MAX_RUNS = 1_000_000
+CHOSEN = {"controllers": "controller", "observers": "observer", "detectors": "detector"}
+"""Keys of a campaign that name components, and their kind: every combination is a contender."""
+KEYS = ("scenario", "runs", "seed", "sampling", "vary", "set", *CHOSEN, "contenders")
 
 
 @dataclass(frozen=True)
@@ -27,6 +33,10 @@ class Run:
     controller: str
     drawn: dict[str, str]
     """Path to value, as YAML."""
+    contender: str = ""
+    """What the results call it."""
+    settings: tuple[str, ...] = ()
+    """What makes it this contender, as of ``--set``, beside the controller."""
 
 
 @dataclass(frozen=True)
@@ -42,6 +52,13 @@ class Campaign:
     """The same in every run, as of ``--set``."""
     controllers: tuple[str, ...] = ()
     """Each runs with every draw; the scenario's own by default."""
+    observers: tuple[str, ...] = ()
+    """Likewise; with several of both, each combination runs."""
+    detectors: tuple[str, ...] = ()
+    contenders: tuple[tuple[str, tuple[str, ...]], ...] = ()
+    """In the place of those: names, and what makes each of them, as of ``--set``."""
+    sampling: str = "random"
+    """One of :data:`~ftcm_core.campaign.sampling.SAMPLINGS`."""
     _read: list[Any] = field(default_factory=list, repr=False, compare=False)
 
     def __post_init__(self) -> None:
@@ -49,25 +66,61 @@ class Campaign:
         for name, value, low, high in (("runs", self.runs, 1, MAX_RUNS), ("seed", self.seed, 0, 2**63 - 1)):
             if isinstance(value, bool) or not isinstance(value, int) or not low <= value <= high:
                 raise FtcmError(f"{name}: {shown(value)} is not a whole number in [{low}, {high}]")
+        if self.sampling not in SAMPLINGS:
+            raise FtcmError(
+                f"sampling: {shown(self.sampling)} is none; {suggestion(str(self.sampling), SAMPLINGS)}"
+            )
         paths = [v.path for v in self.variations]
         for path in paths:
             if paths.count(path) > 1:
                 raise FtcmError(f"--vary {path}: is varied twice")
-        for name in self.controllers:
-            find("controller", name)
+        set_as_a_whole = {text.partition("=")[0].strip() for text in self.overrides} | set(paths)
+        for key, kind in CHOSEN.items():
+            names = getattr(self, key)
+            for name in names:
+                find(kind, name)
+            if names and self.contenders:
+                raise FtcmError(f"{key}: contenders are given too; give one of them")
+            given = key if names else "contenders"
+            for path in sorted(set_as_a_whole & {kind, f"{kind}.type"}) if getattr(self, given) else ():
+                raise FtcmError(f"{path}: is set, and {given} are given too; give one of them")
 
     def run_list(self) -> list[Run]:
-        """Return all runs: of each draw, one with each controller."""
-        names = self.controllers or (self.scenario(Run(0, "", {})).controller.type_name,)
+        """Return all runs: of each draw, one with each contender."""
+        field = self._field()
+        drawn = draws(self.variations, self.sampling, self.seed, self.runs)
         return [
-            Run(number, name, {v.path: v.draw(self.seed, number) for v in self.variations})
-            for number in range(self.runs)
-            for name in dict.fromkeys(names)
+            Run(n, controller, d, name, more) for n, d in enumerate(drawn) for name, controller, more in field
         ]
+
+    def _field(self) -> list[tuple[str, str, tuple[str, ...]]]:
+        """Name, controller and settings of each contender."""
+        if self.contenders:
+            return [
+                (name, self.scenario(Run(0, "", {}, name, more)).controller.type_name, more)
+                for name, more in self.contenders
+            ]
+        controllers = self.controllers or (self.scenario(Run(0, "", {})).controller.type_name,)
+        chosen = (controllers, self.observers or ("",), self.detectors or ("",))
+        found = []
+        for controller, observer, detector in itertools.product(*map(dict.fromkeys, chosen)):
+            more = [f"observer.type={observer}"] * bool(observer)
+            if detector:  # a scenario may have none, or null
+                more.append(f"detector{'.type' if self.mapping().get('detector') else ''}={detector}")
+            found.append(("+".join(filter(None, (controller, observer, detector))), controller, tuple(more)))
+        return found
 
     def settings(self, run: Run) -> list[str]:
         """Return the ``--set`` list that reproduces a run."""
-        return [*self.overrides, *(f"{path}={value}" for path, value in run.drawn.items())]
+        return [*run.settings, *self.overrides, *(f"{path}={value}" for path, value in run.drawn.items())]
+
+    def mapping(self) -> dict[str, Any]:
+        """Return the plain data of the scenario, read once."""
+        if not self._read:
+            data, _, origin = read_mapping(self.source)
+            self._read.append((with_plugins(data, self.source, origin), origin))
+        read: dict[str, Any] = self._read[0][0]
+        return read
 
     def scenario(self, run: Run) -> Scenario:
         """Return the scenario of a run.
@@ -75,16 +128,12 @@ class Campaign:
         Raises:
             ScenarioError: a value does not fit; the message names the run.
         """
-        if not self._read:
-            data, _, origin = read_mapping(self.source)
-            self._read.append((with_plugins(data, self.source, origin), origin))
-        data, origin = self._read[0]
-        data = copy.deepcopy(data)
+        data = copy.deepcopy(self.mapping())
         settings = self.settings(run)
         try:
             for text in [f"controller.type={run.controller}"] * bool(run.controller) + settings:
                 apply_override(data, text)
-            return from_mapping(data, origin=origin)
+            return from_mapping(data, origin=self._read[0][1])
         except ScenarioError as error:
             if not run.drawn:
                 raise
@@ -97,9 +146,11 @@ class Campaign:
             "scenario": self.source,
             "runs": self.runs,
             "seed": self.seed,
+            "sampling": self.sampling,
             "vary": {v.path: str(v).partition("=")[2] for v in self.variations},
             "set": list(self.overrides),
-            "controllers": list(self.controllers),
+            **{key: list(getattr(self, key)) for key in CHOSEN},
+            "contenders": {name: list(more) for name, more in self.contenders},
         }
 
 
@@ -118,22 +169,21 @@ def from_file(source: str) -> Campaign:
     if not is_campaign(data):
         with_plugins(data, source, origin)
         return Campaign(source)
-    known = ("scenario", "runs", "seed", "vary", "set", "controllers")
     data = {k: v for k, v in data.items() if k != "name" and v is not None}
     for key in data:
-        if key not in known:
-            raise FtcmError(f"{origin}: {shown(key)}: unknown key; {suggestion(shown(key), known)}")
+        if key not in KEYS:
+            raise FtcmError(f"{origin}: {shown(key)}: unknown key; {suggestion(shown(key), KEYS)}")
     vary = data.get("vary", {})
     if not isinstance(vary, dict) or not all(isinstance(x, str) for v in vary.items() for x in v):
         raise FtcmError(f"{origin}: vary: expected a mapping of paths to distributions, e.g. uniform(1, 2)")
-    for key in ("set", "controllers"):
+    for key in ("set", *CHOSEN):
         if not isinstance(data.get(key, []), list) or not all(isinstance(v, str) for v in data.get(key, [])):
             raise FtcmError(f"{origin}: {key}: {shown(data[key])} is not a list of texts")
     scenario = data.get("scenario")
     if not isinstance(scenario, str):
         raise FtcmError(f"{origin}: scenario: {shown(scenario)} is not a path or name")
-    beside = Path(source).parent / scenario
-    path = str(beside) if os.path.isfile(beside) else scenario
+    folder = Path(source).parent
+    path = beside(folder, scenario)
     with contextlib.suppress(ScenarioError):  # it is told when the scenario is read for the first run
         read, _, place = read_mapping(path)
         with_plugins(read, path, place)
@@ -145,6 +195,34 @@ def from_file(source: str) -> Campaign:
             variations=tuple(parse_variation(f"{path}={text}") for path, text in vary.items()),
             overrides=tuple(data.get("set", ())),
             controllers=tuple(data.get("controllers", ())),
+            observers=tuple(data.get("observers", ())),
+            detectors=tuple(data.get("detectors", ())),
+            contenders=_contenders(data.get("contenders", {}), folder),
+            sampling=data.get("sampling", "random"),
         )
     except FtcmError as error:
         raise FtcmError(f"{origin}: {error}") from None
+
+
+def beside(folder: Path, name: str) -> str:
+    """Return the path of a file in a folder if there is one of that name, else the name."""
+    return str(folder / name) if os.path.isfile(folder / name) else name
+
+
+def _contenders(given: Any, folder: Path) -> tuple[tuple[str, tuple[str, ...]], ...]:
+    """Read named contenders: each a list of settings, or a parameter file in the folder."""
+    if not isinstance(given, dict) or not all(isinstance(name, str) for name in given):
+        raise FtcmError(
+            f"contenders: {shown(given)} is not a mapping of names to lists of settings or parameter files"
+        )
+    found = []
+    for name, value in given.items():
+        if isinstance(value, str):
+            value = parameter_overrides(beside(folder, value))
+        if not isinstance(value, list) or not all(isinstance(text, str) for text in value):
+            raise FtcmError(
+                f"contenders: {name}: {shown(value)} is not a list of settings, e.g. [controller.type=smc], "
+                "nor a parameter file"
+            )
+        found.append((name, tuple(value)))
+    return tuple(found)

@@ -3,7 +3,7 @@
 
 from __future__ import annotations
 
-import importlib.util
+import contextlib
 import json
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
@@ -11,13 +11,18 @@ from pathlib import Path
 from typing import Any
 
 from ftcm_core import compiled
+from ftcm_core.campaign.folder import RUNS, begin, check_same, fingerprint, kept_results, locked
+from ftcm_core.campaign.parquet import write_parquet
 from ftcm_core.campaign.plan import Campaign, Run
-from ftcm_core.campaign.statistics import Statistics, table
+from ftcm_core.campaign.statistics import Statistics, summary_of, table
+from ftcm_core.extras import has
 from ftcm_core.parallel import run_parallel
 from ftcm_core.recording.detection import detection_scores
 from ftcm_core.recording.metrics import METRICS, evaluate
 from ftcm_core.recording.provenance import provenance
+from ftcm_core.recording.trace import Trace
 from ftcm_core.report.results import to_json
+from ftcm_core.scenario import Scenario
 from ftcm_core.simulation import simulate
 
 ENGINES = ("auto", "compiled", "plain")
@@ -32,7 +37,7 @@ def chosen_engine(engine: str) -> str:
         FtcmError: compiled was asked for and numba is not installed.
     """
     if engine == "auto":
-        return "auto" if importlib.util.find_spec("numba") else "plain"
+        return "auto" if has("numba") else "plain"
     if engine == "compiled":
         compiled.require_numba()
     return engine
@@ -54,38 +59,59 @@ def _do(work: _Work) -> list[dict[str, Any]]:
     return work()
 
 
+def simulated(scenario: Scenario, engine: str) -> tuple[Trace, str]:
+    """Run a scenario; return its trace and what ran it.
+
+    Args:
+        scenario: what to run.
+        engine: one of :data:`ENGINES`; with ``auto``, a run that cannot be compiled is run plainly.
+
+    Returns:
+        The trace, and ``compiled``, ``plain``, or ``plain: `` and why it is.
+
+    Raises:
+        NotCompilable: with the engine ``compiled``.
+    """
+    if engine == "plain":
+        return simulate(scenario), "plain"
+    try:
+        return compiled.simulate(scenario), "compiled"
+    except compiled.NotCompilable as error:
+        if engine == "compiled":
+            raise
+        return simulate(scenario), f"plain: {error}"
+
+
 def run_one(campaign: Campaign, run: Run, engine: str) -> dict[str, Any]:
     """Run one run and return its result; the trace is not kept.
 
     Args:
         campaign: the campaign.
         run: one of its runs.
-        engine: one of :data:`ENGINES`; with ``auto``, a run that cannot be compiled is run plainly and its
-            result says why.
+        engine: as of :func:`simulated`.
 
     Raises:
         NotCompilable: with the engine ``compiled``.
     """
     scenario = campaign.scenario(run)
-    ran = "plain"
-    if engine == "plain":
-        trace = simulate(scenario)
-    else:
-        try:
-            trace, ran = compiled.simulate(scenario), "compiled"
-        except compiled.NotCompilable as error:
-            if engine == "compiled":
-                raise
-            trace, ran = simulate(scenario), f"plain: {error}"
+    trace, ran = simulated(scenario, engine)
     return {
-        "run": run.number,
-        "controller": run.controller,
-        "set": campaign.settings(run),
+        **_identity(campaign, run),
         "status": trace.status,
         "detail": trace.detail,
         "engine": ran,
         "metrics": evaluate(trace),
         **({"detection": detection_scores(trace)} if scenario.detector else {}),
+    }
+
+
+def _identity(campaign: Campaign, run: Run) -> dict[str, Any]:
+    """What a result says of which run it is."""
+    return {
+        "run": run.number,
+        "contender": run.contender,
+        "controller": run.controller,
+        "set": campaign.settings(run),
     }
 
 
@@ -95,6 +121,7 @@ def run_campaign(
     engine: str = "auto",
     jobs: int | None = None,
     folder: Path | None = None,
+    resume: bool = False,
     progress: Callable[[int, int], None] | None = None,
     note: Callable[[str], None] = lambda text: None,
 ) -> dict[str, Any]:
@@ -104,59 +131,103 @@ def run_campaign(
         campaign: what to run; all its scenarios are checked before the first run.
         engine: one of :data:`ENGINES`.
         jobs: number of processes; the number of cores by default.
-        folder: where ``runs.jsonl``, ``summary.json`` and ``table.md`` go.
-        progress: called with the runs done and their number.
+        folder: where ``runs.jsonl``, ``summary.json``, ``table.md`` and, with pyarrow, ``runs.parquet`` go.
+        resume: whether the folder has a beginning of the same campaign, of which only the rest is run.
+        progress: called with the runs done and their number, first before the first run.
         note: told before the first run, in one line each, what is run plainly and why.
 
     Returns:
         The summary.
 
     Raises:
-        FtcmError: a scenario is not valid, numba is missing, or ``compiled`` is impossible.
+        FtcmError: a scenario is not valid, numba is missing, ``compiled`` is impossible, or there is
+            nothing to resume.
     """
     engine = chosen_engine(engine)
     runs = campaign.run_list()
     for run in runs:
         campaign.scenario(run)
-    if engine != "plain":  # once here, so that the processes find it compiled
-        for run in runs[: len(runs) // campaign.runs]:
-            try:
-                compiled.prepare(campaign.scenario(run))
-            except compiled.NotCompilable as error:
-                if engine == "compiled":
-                    raise
-                note(f"{run.controller} runs plainly: {error}")
-    chunk = max(1, min(_CHUNK, len(runs) // (4 * (jobs or 1))))
-    work = [_Work(campaign, tuple(runs[i : i + chunk]), engine) for i in range(0, len(runs), chunk)]
-    found: dict[str, Statistics] = {}
-    waiting: dict[int, list[dict[str, Any]]] = {}
-    done = following = 0
-    lines = (folder / "runs.jsonl").open("w", encoding="utf-8") if folder else None
-    try:
-        for index, results in run_parallel(_do, work, jobs):
-            waiting[index] = results
-            done += len(results)
-            if progress:
-                progress(done, len(runs))
-            while following in waiting:  # written and counted in order, so that files do not depend on luck
-                for result in waiting.pop(following):
-                    found.setdefault(result["controller"], Statistics()).add(result)
-                    if lines:
-                        lines.write(to_json(result) + "\n")
-                following += 1
-    finally:
-        if lines:
-            lines.close()
-    summary = {
-        "campaign": campaign.to_mapping(),
-        "results": {name: statistics.summary() for name, statistics in found.items()},
-        "units": {name: unit for name, (_, unit) in METRICS.items()},
-        "provenance": {**provenance(), "engine": engine},
-    }
-    if folder:
-        (folder / "summary.json").write_text(to_json(summary, indent=1) + "\n", encoding="utf-8")
-        (folder / "table.md").write_text(table(summary), encoding="utf-8")
+    about = {**provenance(), "engine": engine}
+    with contextlib.ExitStack() as stack:
+        lines = None
+        if folder:
+            identity = {
+                "campaign": {k: v for k, v in campaign.to_mapping().items() if k != "scenario"},
+                "engine": engine,
+                "scenario_sha256": fingerprint(campaign.mapping()),
+                "provenance": about,
+            }
+            if resume:
+                for text in check_same(folder, identity):
+                    note(f"warning: {text}; the runs that are there were made with the former")
+            else:
+                begin(folder, identity)
+            lines = stack.enter_context(locked(folder / RUNS))
+        found: dict[str, Statistics] = {}
+        following = 0
+        if lines and not resume:
+            lines.truncate()
+        for result in kept_results(lines, (_identity(campaign, run) for run in runs)) if lines else ():
+            found.setdefault(result["contender"], Statistics()).add(result)
+            following += 1
+        if following < len(runs):
+            _prepare(campaign, runs, engine, note)
+        if progress:
+            progress(following, len(runs))
+        for result in _results(campaign, runs, following, engine, jobs, progress):
+            found.setdefault(result["contender"], Statistics()).add(result)
+            if lines:
+                lines.write((to_json(result) + "\n").encode())
+                lines.flush()
+        summary = {
+            "campaign": campaign.to_mapping(),
+            **summary_of(found, campaign.runs),
+            "units": {name: unit for name, (_, unit) in METRICS.items()},
+            "provenance": about,
+        }
+        if folder:
+            (folder / "summary.json").write_text(to_json(summary, indent=1) + "\n", encoding="utf-8")
+            (folder / "table.md").write_text(table(summary), encoding="utf-8")
+            if has("pyarrow"):
+                said = {"campaign": campaign.to_mapping(), "provenance": about}
+                write_parquet(folder / "runs.parquet", campaign, runs, read_runs(folder / RUNS), said)
     return summary
+
+
+def _prepare(campaign: Campaign, runs: list[Run], engine: str, note: Callable[[str], None]) -> None:
+    """Compile what each contender needs, once here, so that the processes find it compiled."""
+    if engine == "plain":
+        return
+    for run in runs[: len(runs) // campaign.runs]:
+        try:
+            compiled.prepare(campaign.scenario(run))
+        except compiled.NotCompilable as error:
+            if engine == "compiled":
+                raise
+            note(f"{run.contender} runs plainly: {error}")
+
+
+def _results(
+    campaign: Campaign,
+    runs: list[Run],
+    first: int,
+    engine: str,
+    jobs: int | None,
+    progress: Callable[[int, int], None] | None,
+) -> Iterator[dict[str, Any]]:
+    """Run the runs from ``first`` on; yield their results in order, so that files do not depend on luck."""
+    chunk = max(1, min(_CHUNK, len(runs) // (4 * (jobs or 1))))
+    work = [_Work(campaign, tuple(runs[i : i + chunk]), engine) for i in range(first, len(runs), chunk)]
+    waiting: dict[int, list[dict[str, Any]]] = {}
+    done, following = first, 0
+    for index, results in run_parallel(_do, work, jobs):
+        waiting[index] = results
+        done += len(results)
+        if progress:
+            progress(done, len(runs))
+        while following in waiting:
+            yield from waiting.pop(following)
+            following += 1
 
 
 def read_runs(path: Path) -> Iterator[dict[str, Any]]:

@@ -4,11 +4,13 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
 
+from ftcm_core.campaign.comparison import comparisons
+from ftcm_core.campaign.intervals import median_interval, wilson_interval
 from ftcm_core.recording.detection import pooled_scores
 from ftcm_core.recording.trace import ENDED_EARLY
 from ftcm_core.report.table import markdown, pooled_text
@@ -19,17 +21,21 @@ SHOWN = (
     ("after_fault", "max_abs_error"),
     ("after_transient", "torque_total_variation"),
 )
-"""What the table shows; ``summary.json`` has everything."""
+"""What the table shows, and what contenders are compared in; ``summary.json`` has the quantiles of all."""
+MOST_IN_FULL = 3
+"""Of so many contenders the table compares each with each, of more each with the first."""
 
 
 class Statistics:
-    """What is kept of the runs of one controller: a row of numbers each."""
+    """What is kept of the runs of one contender: a row of numbers each."""
 
     def __init__(self) -> None:
         self.states: dict[str, int] = {}
         self.engines: dict[str, int] = {}
         self.columns: dict[tuple[str, str, int], list[float]] = {}
         self.scores: list[dict[str, Any]] = []
+        self.compared: dict[tuple[str, str], dict[int, tuple[float, ...]]] = {key: {} for key in SHOWN}
+        """Of :data:`SHOWN`, values per joint by number of the run."""
 
     def add(self, result: dict[str, Any]) -> None:
         """Count a run, and keep its metrics, and the scores of its detector, if it completed."""
@@ -41,23 +47,30 @@ class Statistics:
             self.scores.append(result["detection"])
         for window, metrics in result["metrics"].items():
             for metric, values in (metrics or {}).items():
-                for joint, x in enumerate(values):
-                    column = self.columns.setdefault((window, metric, joint), [])
-                    column.append(math.nan if x is None else x)
+                numbers = tuple([math.nan if x is None else x for x in values])
+                for joint, x in enumerate(numbers):
+                    self.columns.setdefault((window, metric, joint), []).append(x)
+                if (window, metric) in SHOWN:
+                    self.compared[window, metric][result["run"]] = numbers
 
     def summary(self) -> dict[str, Any]:
-        """Return shares of statuses and quantiles of the metrics, per joint."""
+        """Return shares of statuses and quantiles of the metrics, per joint, with intervals of 95 %."""
         count = sum(self.states.values())
-        metrics: dict[str, dict[str, dict[str, list[float | None]]]] = {}
+        completed = self.states.get("completed", 0)
+        metrics: dict[str, dict[str, dict[str, list[Any]]]] = {}
         for (window, metric, _), column in self.columns.items():
             values = np.array(column)
             values = values[np.isfinite(values)]
-            entry = metrics.setdefault(window, {}).setdefault(metric, {name: [] for name in QUANTILES})
+            entry = metrics.setdefault(window, {}).setdefault(
+                metric, {name: [] for name in (*QUANTILES, "median_95")}
+            )
             for name, q in QUANTILES.items():
                 entry[name].append(float(np.quantile(values, q)) if len(values) else None)
+            entry["median_95"].append(median_interval(values))
         return {
             "runs": count,
-            "completed": self.states.get("completed", 0) / count,
+            "completed": completed / count,
+            "completed_95": wilson_interval(completed, count),
             **{status: self.states.get(status, 0) / count for status in ENDED_EARLY},
             "engines": self.engines,
             "metrics": metrics,
@@ -65,16 +78,32 @@ class Statistics:
         }
 
 
+def summary_of(found: Mapping[str, Statistics], runs: int) -> dict[str, Any]:
+    """Return the parts of a summary that are statistics.
+
+    Args:
+        found: by contender.
+        runs: number of draws.
+    """
+    compared = {name: one.compared for name, one in found.items()}
+    return {
+        "results": {name: one.summary() for name, one in found.items()},
+        **(comparisons(compared, runs) if len(found) > 1 else {}),
+    }
+
+
 def table(summary: Mapping[str, Any]) -> str:
-    """Return the table of a summary, in Markdown: median [5 %, 95 %] over the completed runs."""
+    """Return the tables of a summary, in Markdown: each contender's metrics, then how they compare."""
     lines = []
     for name, found in summary["results"].items():
         exceeded = (
             f", {100 * found['limit_exceeded']:.4g} % limit_exceeded" if found["limit_exceeded"] else ""
         )
+        low, high = (100 * x for x in found["completed_95"])
         lines += [
-            f"{name}: {found['runs']} runs, {100 * found['completed']:.4g} % completed, "
-            f"{100 * found['diverged']:.4g} % diverged{exceeded}; median [5 %, 95 %] of the completed:",
+            f"{name}: {found['runs']} runs, {100 * found['completed']:.4g} % completed "
+            f"({low:.4g} to {high:.4g}), {100 * found['diverged']:.4g} % diverged{exceeded}. Of the "
+            "completed: median (its interval of 95 %), below it their 5 % and 95 % quantiles:",
             "",
         ]
         for engine, count in found["engines"].items():
@@ -84,15 +113,78 @@ def table(summary: Mapping[str, Any]) -> str:
         for window, metric in SHOWN:
             entry = found["metrics"].get(window, {}).get(metric)
             if entry:
-                cells = [
-                    "-" if m is None else f"{m:.3g} [{a:.3g}, {b:.3g}]"
-                    for m, a, b in zip(entry["median"], entry["q05"], entry["q95"])
+                middle = [_with_interval(*x) for x in zip(entry["median"], entry["median_95"])]
+                spread = [
+                    "-" if a is None else f"{a:.3g} … {b:.3g}" for a, b in zip(entry["q05"], entry["q95"])
                 ]
-                rows.append([window, f"{metric} ({summary['units'][metric]})", *cells])
+                rows += [[window, f"{metric} ({summary['units'][metric]})", *middle], ["", "", *spread]]
         if rows:
-            head = ["window", "metric", *(f"joint {j + 1}" for j in range(len(rows[0]) - 2))]
-            lines.append(markdown([head, *rows]))
-            lines.append("")
+            lines += [_per_joint(["window", "metric"], rows), ""]
         if "detection" in found:
             lines += [pooled_text(found["detection"]), ""]
-    return "\n".join(lines)
+    return "\n".join(lines + _comparison_lines(summary))
+
+
+def _comparison_lines(summary: Mapping[str, Any]) -> list[str]:
+    names = list(summary["results"])
+    shown = [
+        pair
+        for pair in summary.get("comparisons", ())
+        if len(names) <= MOST_IN_FULL or pair["contenders"][0] == names[0]
+    ]
+    lines = []
+    if shown:
+        rows = []
+        for pair in shown:
+            who = [pair["window"], pair["metric"], " / ".join(pair["contenders"]), str(pair["pairs"])]
+            rows.append([*who, *map(_paired_cell, pair["joints"])])
+        lines += [
+            "Over the same draws, those that both completed: median ratio (its interval of 95 %); r, the "
+            "rank-biserial correlation, -1 where the first is smaller in every draw; p of Wilcoxon's test, "
+            "corrected for all comparisons (Holm):",
+            "",
+            _per_joint(["window", "metric", "contenders", "draws"], rows),
+            "",
+        ]
+    ranked = []
+    for one in summary.get("ranking", ()):
+        least = "-" if one["critical_difference"] is None else f"{one['critical_difference']:.3g}"
+        for i, name in enumerate(one["contenders"]):
+            cells = [f"{joint['mean_ranks'][i]:.3g}" for joint in one["joints"]]
+            ranked.append([one["window"], one["metric"], name, *cells, least])
+    if ranked:
+        joints = len(ranked[0]) - 4
+        head = ["window", "metric", "contender", *_joints(joints), "critical difference"]
+        lines += [
+            "Mean rank over the draws, 1 is the smallest value; ranks nearer than the critical difference "
+            "(Nemenyi, 5 %) are not told apart:",
+            "",
+            markdown([head, *ranked]),
+            "",
+        ]
+    return lines
+
+
+def _paired_cell(joint: Mapping[str, Any]) -> str:
+    if joint["rank_biserial"] is None:
+        return "-"
+    value, interval = joint["ratio"], joint["ratio_95"]
+    text = f"differ by {_with_interval(joint['difference'], joint['difference_95'])}"
+    if value is not None:
+        text = _with_interval(value, interval)
+    p = joint["p_holm"]
+    return f"{text}, r {joint['rank_biserial']:.2f}" + ("" if p is None else f", p {p:.2g}")
+
+
+def _with_interval(value: float | None, interval: Sequence[float] | None) -> str:
+    if value is None:
+        return "-"
+    return f"{value:.3g}" + (f" ({interval[0]:.3g} to {interval[1]:.3g})" if interval else "")
+
+
+def _per_joint(head: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
+    return markdown([[*head, *_joints(len(rows[0]) - len(head))], *rows])
+
+
+def _joints(count: int) -> list[str]:
+    return [f"joint {j + 1}" for j in range(count)]

@@ -2,7 +2,8 @@
 """Values drawn at random: the distributions, and how they are written.
 
 Every varied path has a random stream of its own, seeded from (campaign seed, path), and run n takes its
-n-th number: a further variation shifts no other.
+n-th number: a further variation shifts no other. Samples that are spread evenly
+(:mod:`ftcm_core.campaign.sampling`) take the values of their quantiles instead.
 """
 
 from __future__ import annotations
@@ -11,6 +12,7 @@ import math
 import re
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
+from statistics import NormalDist
 
 from ftcm_core.errors import FtcmError, shown, suggestion
 from ftcm_core.random_streams import gaussian, stream_key, uniform
@@ -36,41 +38,53 @@ class Variation:
             seed: the campaign's.
             run: number of the run, from 0.
         """
-        return DISTRIBUTIONS[self.kind][1](self.arguments, stream_key(seed, f"campaign.{self.path}"), run)
+        key = stream_key(seed, f"campaign.{self.path}")
+        if self.kind == "normal":
+            mean, deviation = map(float, self.arguments)
+            return repr(mean + deviation * gaussian(key, run))
+        return self.quantile(uniform(key, run))
+
+    def quantile(self, share: float) -> str:
+        """Return the value that a share of all draws lies below, as YAML; choices have equal shares.
+
+        Args:
+            share: in (0, 1).
+        """
+        return DISTRIBUTIONS[self.kind][1](self.arguments, share)
 
 
-def _uniform(arguments: Sequence[str], key: float, run: int) -> str:
+def _uniform(arguments: Sequence[str], share: float) -> str:
     low, high = map(float, arguments)
-    return repr(low + (high - low) * uniform(key, run))
+    return repr(low + (high - low) * share)
 
 
-def _loguniform(arguments: Sequence[str], key: float, run: int) -> str:
+def _loguniform(arguments: Sequence[str], share: float) -> str:
     low, high = (math.log(float(x)) for x in arguments)
-    return repr(math.exp(low + (high - low) * uniform(key, run)))
+    return repr(math.exp(low + (high - low) * share))
 
 
-def _normal(arguments: Sequence[str], key: float, run: int) -> str:
+def _normal(arguments: Sequence[str], share: float) -> str:
     mean, deviation = map(float, arguments)
-    return repr(mean + deviation * gaussian(key, run))
+    return repr(mean + deviation * NormalDist().inv_cdf(share))
 
 
-def _integer(arguments: Sequence[str], key: float, run: int) -> str:
+def _integer(arguments: Sequence[str], share: float) -> str:
     low, high = map(int, arguments)
-    return str(min(high, low + int((high - low + 1) * uniform(key, run))))
+    return str(min(high, low + int((high - low + 1) * share)))
 
 
-def _choice(arguments: Sequence[str], key: float, run: int) -> str:
-    return arguments[min(len(arguments) - 1, int(len(arguments) * uniform(key, run)))]
+def _choice(arguments: Sequence[str], share: float) -> str:
+    return arguments[min(len(arguments) - 1, int(len(arguments) * share))]
 
 
-DISTRIBUTIONS: dict[str, tuple[str, Callable[[Sequence[str], float, int], str]]] = {
+DISTRIBUTIONS: dict[str, tuple[str, Callable[[Sequence[str], float], str]]] = {
     "uniform": ("uniform(LOW, HIGH)", _uniform),
     "loguniform": ("loguniform(LOW, HIGH), LOW > 0", _loguniform),
     "normal": ("normal(MEAN, DEVIATION), DEVIATION >= 0", _normal),
     "integer": ("integer(LOW, HIGH), both included", _integer),
     "choice": ("choice(VALUE, VALUE, ...)", _choice),
 }
-"""Distributions by name: how to write one, and its draw."""
+"""Distributions by name: how to write one, and its quantile function."""
 
 
 def parse_variation(text: str) -> Variation:

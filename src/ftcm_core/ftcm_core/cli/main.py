@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The command ``ftcm``: simulate, compare, campaign, suite, calibrate, replay, list, describe and others.
+"""The command ``ftcm``: simulate, compare, campaign, tune, suite, calibrate, replay, list and others.
 
 Results go to stdout, warnings, progress and errors to stderr. Exit status: 0 done (a run that diverges is a
 result), 1 the machine failed (disk, memory) or a replay differs, 2 a mistake in what was asked, 130
@@ -26,6 +26,7 @@ from ftcm_core.cli.output import drop_stdout, fail
 from ftcm_core.cli.replaying import replay_command, replay_options
 from ftcm_core.cli.runs import campaign_command, compare_command, reproduce_command, simulate_command
 from ftcm_core.cli.suites import add_arguments, suite_command
+from ftcm_core.cli.tuning import tune_command, tune_options
 from ftcm_core.cli.watching import watch_command, watch_options
 from ftcm_core.errors import FtcmError
 from ftcm_core.registry import KINDS, load_plugins
@@ -87,6 +88,11 @@ def _parser() -> argparse.ArgumentParser:
         )  # fmt: skip
         return sub
 
+    def parameter_file(sub: argparse.ArgumentParser) -> None:
+        sub.add_argument(
+            "--params", metavar="FILE", help="use the controller and observer of a file, such as one by tune"
+        )
+
     def shared(sub: argparse.ArgumentParser, *, overrides: bool = True) -> None:
         if overrides:
             sub.add_argument(
@@ -116,6 +122,7 @@ def _parser() -> argparse.ArgumentParser:
     sub.add_argument("--controller", metavar="NAME", help="use this controller")
     sub.add_argument("--observer", metavar="NAME", help="use this observer")
     sub.add_argument("--engine", choices=("plain", "compiled"), default="plain", help="compiled needs numba")
+    parameter_file(sub)
     shared(sub)
 
     sub = command(
@@ -161,7 +168,10 @@ def _parser() -> argparse.ArgumentParser:
         help="change values in every run",
     )  # fmt: skip
     sub.add_argument("--detector-file", metavar="FILE", help="use the detector that calibrate wrote")
-    sub.add_argument("--controllers", nargs="+", metavar="NAME", help="run every draw with each of these")
+    parameter_file(sub)
+    sub.add_argument("--sampling", choices=campaign.SAMPLINGS, help="how draws are spread; default: random")
+    for kind in ("controller", "observer", "detector"):
+        sub.add_argument(f"--{kind}s", nargs="+", metavar="NAME", help="run every draw with each of these")
     sub.add_argument("--jobs", type=int, metavar="N", help="number of processes; default: one per core")
     sub.add_argument(
         "--engine", choices=campaign.ENGINES, default="auto",
@@ -171,6 +181,19 @@ def _parser() -> argparse.ArgumentParser:
     sub.add_argument(
         "--output", metavar="DIR", help="write every run, the summary and report.html to a new folder"
     )
+    sub.add_argument(
+        "--resume",
+        action="store_true",
+        help="go on with the campaign in the folder of --output that was ended",
+    )
+
+    sub = command(
+        "tune",
+        tune_command,
+        "find the parameters of a law by trials, and compare before and after on other runs",
+        "ftcm tune config/tune/ftcm.yaml --output results/ftcm",
+    )
+    tune_options(sub)
 
     sub = command(
         "suite",

@@ -38,7 +38,8 @@ def progress(unit: str) -> Any:
         unit: what is counted.
 
     Yields:
-        What is called with how much is done and how much there is.
+        What is called with how much is done and how much there is; what was done before the first call does
+        not count for the time that is left.
     """
     bar: Any = None
 
@@ -48,7 +49,15 @@ def progress(unit: str) -> Any:
             return
         if bar is None:
             every = 0.1 if sys.stderr.isatty() else 5.0
-            bar = tqdm(total=total, unit=unit, desc="ftcm", mininterval=every, leave=False, file=sys.stderr)
+            bar = tqdm(
+                total=total,
+                initial=done,
+                unit=unit,
+                desc="ftcm",
+                mininterval=every,
+                leave=False,
+                file=sys.stderr,
+            )
         bar.update(done - bar.n)
 
     shown: Callable[[int, int], None] = show

@@ -26,6 +26,7 @@ from ftcm_core.report.page.of_runs import Background, write_page
 from ftcm_core.report.results import labelled, new_folder, report, to_json, write_results, writing
 from ftcm_core.report.table import PUBLISHED, status
 from ftcm_core.scenario import Scenario, load, read_mapping, shipped_scenarios, with_plugins
+from ftcm_core.scenario.parameter_files import parameter_overrides
 from ftcm_core.simulation import simulate
 
 Job = tuple[str, Scenario]
@@ -46,7 +47,7 @@ def simulate_command(arguments: argparse.Namespace) -> int:
     if arguments.observer is not None:
         find("observer", arguments.observer)
         overrides.insert(0, f"observer.type={arguments.observer}")
-    overrides[:0] = detector_overrides(arguments.detector_file)
+    overrides[:0] = [*parameter_overrides(arguments.params), *detector_overrides(arguments.detector_file)]
     scenario = load(sources[0], overrides, arguments.controller)
     figure_formats(arguments.figure_format)
     folder = new_folder(arguments.output) if arguments.output is not None else None
@@ -158,16 +159,30 @@ def campaign_command(arguments: argparse.Namespace) -> int:
         runs=planned.runs if arguments.runs is None else arguments.runs,
         seed=planned.seed if arguments.seed is None else arguments.seed,
         variations=(*(v for v in planned.variations if v.path not in again), *varied),
-        overrides=(*planned.overrides, *detector_overrides(arguments.detector_file), *overrides),
+        overrides=(
+            *planned.overrides,
+            *parameter_overrides(arguments.params),
+            *detector_overrides(arguments.detector_file),
+            *overrides,
+        ),
+        sampling=arguments.sampling or planned.sampling,
         controllers=tuple(arguments.controllers or planned.controllers),
+        observers=tuple(arguments.observers or planned.observers),
+        detectors=tuple(arguments.detectors or planned.detectors),
     )
     if arguments.jobs is not None and arguments.jobs < 1:
         raise FtcmError(f"--jobs {arguments.jobs}: expected at least 1")
     campaign.chosen_engine(arguments.engine)
-    folder = new_folder(arguments.output) if arguments.output is not None else None
+    folder = results_folder(arguments)
     with progress("run") as show:
         summary = campaign.run_campaign(
-            planned, engine=arguments.engine, jobs=arguments.jobs, folder=folder, progress=show, note=note
+            planned,
+            engine=arguments.engine,
+            jobs=arguments.jobs,
+            folder=folder,
+            resume=arguments.resume,
+            progress=show,
+            note=note,
         )
     text = campaign.table(summary)
     print(to_json(summary) if arguments.json else text, flush=True)
@@ -177,6 +192,19 @@ def campaign_command(arguments: argparse.Namespace) -> int:
             write_page(folder, campaign_page(summary, runs, text, arguments.command))
         note(f"report: {folder / 'report.html'}")
     return 0
+
+
+def results_folder(arguments: argparse.Namespace) -> Path | None:
+    """Return the folder of ``--output``, a new one unless ``--resume`` goes on with it.
+
+    Raises:
+        FtcmError: as of :func:`new_folder`, or ``--resume`` has no folder.
+    """
+    if arguments.output is None:
+        if arguments.resume:
+            raise FtcmError("--resume: expected --output DIR, the folder to go on with")
+        return None
+    return Path(arguments.output) if arguments.resume else new_folder(arguments.output)
 
 
 def _load_plugins(sources: Sequence[str]) -> None:

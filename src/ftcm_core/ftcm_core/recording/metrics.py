@@ -22,6 +22,10 @@ STEADY_SHARE = 0.1
 """Share of a window, at its end, over which the steady-state error is taken (chosen)."""
 
 
+WINDOWS = ("whole", "transient", "after_transient", "before_fault", "after_fault")
+"""What :func:`windows` returns the rows of."""
+
+
 def windows(trace: Trace) -> dict[str, slice | None]:
     """Return the rows of each window; None where a run has no such window.
 
