@@ -31,6 +31,7 @@ setup(
         "figures": ["matplotlib>=3.6"],
         "compiled": ["numba>=0.61"],
         "completion": ["argcomplete>=3.1"],
+        "notebook": ["pandas>=2.0"],
         "mujoco": ["mujoco>=3.2.3"],
         "web": ["viser>=1.1", "websockets>=15"],
         "statistics": ["scipy>=1.11"],

@@ -38,6 +38,7 @@ EXTRAS = {
     "pyarrow": ("pyarrow", "a campaign's runs as Parquet need it", "parquet"),
     "optuna": ("optuna", "tuning needs it", "tune"),
     "pinocchio": ("pin", "only tests need it, for an independent model", ""),
+    "pandas": ("pandas", "a run as a table of pandas needs it", "notebook"),
     "mujoco": ("mujoco", "the plant mujoco needs it", "mujoco"),
     "argcomplete": ("argcomplete", "the shell completes ftcm's words with it", "completion"),
 }

@@ -7,18 +7,25 @@ The same type whether the run was simulated in process or read back from a bag.
 from __future__ import annotations
 
 import dataclasses
+import html
 from collections.abc import Callable
 from functools import cached_property
-from typing import Any, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
 
 from ftcm_core.controllers import Controller
+from ftcm_core.errors import FtcmError, suggestion
+from ftcm_core.extras import need
 from ftcm_core.faults.timing import NEVER
 from ftcm_core.robots import Robot
 from ftcm_core.scenario import Scenario
 from ftcm_core.signals import COLUMNS
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+    from pandas import DataFrame
 
 Array = npt.NDArray[np.float64]
 
@@ -158,6 +165,69 @@ class Trace:
     def velocity_error(self) -> Array:
         """Velocity error, rad/s."""
         return self.velocity - self.reference_velocity
+
+    def plot(self, joint: str | None = None) -> Figure:
+        """Draw error, torque, and disturbance with its estimate, at a glance.
+
+        Args:
+            joint: name of the joint; the last one by default.
+
+        Returns:
+            A figure of matplotlib, which a notebook shows.
+
+        Raises:
+            FtcmError: there is no such joint, or no matplotlib.
+        """
+        from ftcm_core.report.figures import glance
+        from ftcm_core.report.panels import styled
+
+        if joint is not None and joint not in self.joint_names:
+            raise FtcmError(f"joint {joint!r}; {suggestion(joint, self.joint_names)}")
+        label = self.scenario.controller.type_name if self.scenario else "run"
+        with styled():
+            return glance([(label, self)], None if joint is None else self.joint_names.index(joint))
+
+    def to_pandas(self) -> DataFrame:
+        """Return the columns as a table of pandas: index ``time`` (s), columns such as ``error.joint1``.
+
+        Raises:
+            FtcmError: pandas is not installed.
+        """
+        need("pandas", "notebook", "a table of pandas")
+        import pandas
+
+        columns = {**self.columns, "error": self.error, "velocity_error": self.velocity_error}
+        return pandas.DataFrame(
+            {
+                f"{name}.{joint}": values[:, j]
+                for name, values in columns.items()
+                for j, joint in enumerate(self.joint_names)
+            },
+            index=pandas.Index(self.time, name="time"),
+        )
+
+    def _repr_html_(self) -> str:
+        """What a notebook shows of a run: how it ended, and its errors."""
+        from ftcm_core.recording.metrics import evaluate
+
+        law = self.scenario.controller.type_name if self.scenario else ""
+        end = f"{self.status}: {self.detail}" if self.detail else self.status
+        rows = "".join(
+            f"<tr><td>{window.replace('_', ' ')}</td>"
+            + "".join(f"<td>{x:.3g}</td>" for x in (*found["mean_abs_error"], *found["max_abs_error"]))
+            + "</tr>"
+            for window, found in evaluate(self).items()
+            if found
+        )
+        heads = "".join(
+            f"<th>{what} |e|, rad: {html.escape(name)}</th>"
+            for what in ("mean", "largest")
+            for name in self.joint_names
+        )
+        return (
+            f"<p><b>{html.escape(law)}</b>, {self.ticks:,} ticks of {self.dt:g} s, {html.escape(end)}</p>"
+            f"<table><tr><th>window</th>{heads}</tr>{rows}</table>"
+        )
 
     @property
     def model(self) -> Robot | None:

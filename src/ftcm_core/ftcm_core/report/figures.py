@@ -158,7 +158,12 @@ def torque(traces: Sequence[Run]) -> Figure:
 
 def summary(traces: Sequence[Run]) -> Figure:
     """The last joint at a glance: error, torque and its detail, disturbance and estimate."""
-    j = _joints(traces) - 1
+    return glance(traces)
+
+
+def glance(traces: Sequence[Run], joint: int | None = None) -> Figure:
+    """One joint, by its number from 0 (the last one by default), at a glance, as of :func:`summary`."""
+    j = _joints(traces) - 1 if joint is None else joint
     name = _joint(traces, j)
     figure, axes = grid(2, 2, f"{name}: error, torque, disturbance", height=2.2, hspace=0.42)
     every = [t for _, t in traces]
