@@ -159,8 +159,9 @@ def test_the_code_shown_is_that_of_the_template():
     assert {name: (template / name).read_text("utf-8") for name in found} == found
 
 
-def first_block(page, language):
-    return next(text for kind, text in BLOCK.findall(page.read_text("utf-8")) if kind == language)
+def first_block(page, language, word):
+    blocks = BLOCK.findall(page.read_text("utf-8"))
+    return next(text for kind, text in blocks if kind == language and word in text)
 
 
 @pytest.mark.parametrize(
@@ -181,12 +182,20 @@ def test_the_first_example_of_a_controller_runs(page, head, name, tmp_path):
     from ftcm_core.simulation import simulate
 
     file = tmp_path / "my_laws.py"
-    file.write_text(head + first_block(page, "python"), encoding="utf-8")
+    file.write_text(head + first_block(page, "python", "@register"), encoding="utf-8")
     with registry_kept():
         load_plugin(str(file))
         trace = simulate(load("paper", ["duration=3"], controller=name))
     assert trace.status == "completed"
     assert abs(trace.error[-1]).max() < 0.1 * abs(trace.error[0]).max()
+
+
+def test_the_notebook_of_the_readme_runs():
+    pytest.importorskip("matplotlib")
+    pytest.importorskip("pandas", reason="pandas is not installed (pip install pandas)")
+    found = {}
+    exec(first_block(ROOT / "README.md", "python", "simulate("), found)
+    assert list(found["table"].index[[0, -1]]) == [0.0, 20.0]
 
 
 # ---- the template ----
