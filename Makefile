@@ -102,6 +102,11 @@ lint: test-env ## Check style, format and types
 	@$(call enter,.venv); python -m ruff check --output-format concise . && \
 	    python -m ruff format --check --output-format concise . && python -m mypy
 
+.PHONY: site
+site: ## Make a site of docs/ in build/site; it is read from there without a server
+	@bash .ci/env site
+	@$(call enter,.venv); python -m mkdocs build && echo "==> site: $(CURDIR)/build/site/index.html"
+
 .PHONY: docs
 docs: build ## Write what is generated: reference pages and pictures in docs/, the SROS2 policy, layouts
 	@$(call source,.venv,); python tools/reference_page.py docs/ && python tools/topics_page.py docs/ && \
