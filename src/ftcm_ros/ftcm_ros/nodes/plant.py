@@ -76,6 +76,8 @@ class PlantNode(SuiteNode):
             FtcmError: a parameter is not valid.
         """
         super().__init__("plant", composition)
+        if self.scenario.plant.foreign:
+            self.stages = "plain"  # what moves the robot is machine code already
         self.mode: str = self.setting("mode")
         self.recorder_window: int = self.setting("recorder_window")
         timeout: int = self.setting("torque_timeout")
