@@ -901,7 +901,7 @@ def test_a_run_writes_only_into_its_folder(tmp_path: Path) -> None:
         did = [line.split(" ", 2)[1:] for line in run.stdout.splitlines() if line.startswith("DID")]
         assert any(event == "open" for event, _ in did)
         for event, what in did:
-            assert event in ("open", "os.mkdir", "subprocess.Popen"), what
+            assert event in ("open", "os.mkdir", "os.rename", "subprocess.Popen"), what
             if event == "subprocess.Popen":  # for the provenance: versions and machine
                 assert what in ("git", "uname")
             else:

@@ -439,7 +439,7 @@ def test_a_trajectory_is_followed_and_a_bad_one_changes_nothing(
             "expected each of joint1, joint2, joint3",
         ),
         ("controller", {"dry_run": "true"}, "dry_run: needs command_interface: float64_multi_array"),
-        ("controller", {**ROBOT, "start_ramp": -1}, "start_ramp: -1 is out of range; expected seconds"),
+        ("controller", {**ROBOT, "start_ramp": -1}, "start_ramp: -1 is out of range; expected a number"),
         ("controller", {**ROBOT, "stop_command": "brake"}, "stop_command: no 'brake'"),
         ("controller", {**ROBOT, "data_path": "executor"}, "expected listener or waitset"),
         ("plant", {"stamps": "free"}, "stamps: free needs command_interface: float64_multi_array"),

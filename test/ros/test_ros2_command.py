@@ -33,7 +33,8 @@ from ftcm_ros.analysis import analyse, replay
 from ftcm_ros.bags.reader import read_bag
 from ftcm_ros.parameters.node_parameters import ALL_NODES, NODES, SETTINGS
 from ftcm_ros.run import drive, experiment, fault, watch
-from ftcm_ros.run.launching import EXPERIMENT_ARGUMENTS, NODE_ARGUMENTS
+from ftcm_ros.run.launching import EXPERIMENT_ARGUMENTS, NODE_ARGUMENTS, VIEWER_ARGUMENTS
+from ftcm_ros.viewer import markers
 from traces import same
 
 pytestmark = pytest.mark.ros
@@ -73,7 +74,11 @@ def commands_in_the_text(page: Path) -> list[str]:
     return re.findall(r"`(ros2 [^`]+)`", BLOCK.sub("", page.read_text("utf-8")))
 
 
-LAUNCH_FILES = {"experiment.launch.py": EXPERIMENT_ARGUMENTS, "node.launch.py": NODE_ARGUMENTS}
+LAUNCH_FILES = {
+    "experiment.launch.py": EXPERIMENT_ARGUMENTS,
+    "node.launch.py": NODE_ARGUMENTS,
+    "viewer.launch.py": VIEWER_ARGUMENTS,
+}
 PARSERS = {
     "drive": drive.build_parser,
     "experiment": experiment.build_parser,
@@ -81,6 +86,7 @@ PARSERS = {
     "replay": replay.build_parser,
     "fault": fault.build_parser,
     "watch": watch.build_parser,
+    "markers": markers.build_parser,
 }
 ALL_COMMANDS = [
     pytest.param(shlex.split(command), id=command)
@@ -97,7 +103,7 @@ def parameters_of(node: str) -> set[str]:
     of_components = {
         f"{name}.{spec}" for kind in kinds for name, cls in components(kind).items() for spec in specs(cls)
     }
-    return own | {*kinds} | of_components
+    return own | {*kinds} | of_components | ({"step_ticks"} if "plant" in nodes else set())
 
 
 @pytest.mark.parametrize("command", ALL_COMMANDS)
@@ -125,9 +131,15 @@ def test_a_command_of_the_pages_names_what_there_is(command: list[str]) -> None:
         given = [argument.partition(":=")[0] for argument in arguments if argument != "-s"]
         assert {*given} <= {argument.name for argument in LAUNCH_FILES[file]}
     elif verb == "service":
-        (called, name, kind) = rest
-        assert (called, kind) == ("call", "std_srvs/srv/Trigger")
-        assert re.fullmatch(r"/(injector|plant)/faults/\w+_\d+/(arm|clear)", name)
+        called, name, kind, *request = rest
+        assert called == "call"
+        if name == "/plant/pause":
+            assert (kind, request) in [
+                ("std_srvs/srv/SetBool", [f"{{data: {on}}}"]) for on in ("true", "false")
+            ]
+        else:
+            assert (kind, request) == ("std_srvs/srv/Trigger", [])
+            assert re.fullmatch(r"/plant/step|/(injector|plant)/faults/\w+_\d+/(arm|clear)", name)
     else:
         assert verb in ("topic", "param", "bag", "security")
 

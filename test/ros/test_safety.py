@@ -128,6 +128,7 @@ def test_no_module_but_the_watch_reads_the_system_time() -> None:
     assert found == {
         "suite_node.py: array.header.stamp = self.get_clock().now().to_msg()",
         "plant.py: self._stamped_from = self.get_clock().now().nanoseconds",  # with stamps: free
+        "markers.py: stamp = self._node.get_clock().now().to_msg()",  # what RViz shows
         'listener.py: fresh = 0 <= time.time_ns() - taken[1]["source_timestamp"] < FRESH_NS',  # ages only
         "domain.py: return time.time() - stat.st_mtime < SETTLED_SECONDS",  # as files do
         "writer.py: time.time_ns(),",  # bags are in system time
