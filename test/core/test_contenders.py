@@ -2,6 +2,7 @@
 """What a campaign compares: controllers, observers, detectors, and parameter sets by name."""
 
 import json
+from pathlib import Path
 
 import pytest
 
@@ -10,9 +11,10 @@ from ftcm_core.campaign import Campaign
 from ftcm_core.cli import main
 from ftcm_core.errors import FtcmError
 from ftcm_core.recording.metrics import evaluate
-from ftcm_core.scenario import load
+from ftcm_core.scenario import load, replace
 from ftcm_core.simulation import simulate
 
+ROOT = Path(__file__).resolve().parents[2]
 SHORT = ("duration=0.05", "transient=0.01", "injection.faults.0.start=0.02")
 VARY = (campaign.parse_variation("injection.faults.0.severity=uniform(0.5, 1.5)"),)
 
@@ -114,3 +116,14 @@ def test_a_parameter_file_without_parameters_is_refused(tmp_path, capsys):
     (tmp_path / "a.yaml").write_text("trials: 5\n")
     assert main(["simulate", "paper", "--params", str(tmp_path / "a.yaml")]) == 2
     assert "none of controller, observer, detector in it" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("file", sorted((ROOT / "config" / "suites").glob("*.yaml")), ids=lambda p: p.stem)
+def test_the_shipped_suites_can_be_run(file):
+    """Their first draw with every contender, for a tenth of a second."""
+    planned = campaign.from_file(str(file))
+    first = [run for run in planned.run_list() if run.number == 0]
+    assert len(first) >= 3
+    for run in first:
+        scenario = replace(planned.scenario(run), duration=0.1)
+        assert simulate(scenario).status == "completed"
