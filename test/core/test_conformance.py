@@ -361,7 +361,7 @@ def test_component_round_trips_through_a_scenario(kind: str, name: str) -> None:
     component = components(kind)[name]()
     mapping = component.to_mapping()
     assert list(mapping) == ["type", *specs(type(component))]
-    foreign = kind == "plant" and components(kind)[name].foreign  # type: ignore[attr-defined]
+    foreign = kind == "plant" and components(kind)[name].foreign
     if foreign and not MUJOCO:
         pytest.skip("MuJoCo is not installed (pip install mujoco)")
     for entry in (mapping, name):  # the short form is the type alone
@@ -553,7 +553,7 @@ PLANTS = [
     pytest.param(name, robot, id=f"{name}-{place}")
     for name, cls in components("plant").items()
     for place, robot in ROBOTS.items()
-    if not cls().unsuited(robot, False)  # type: ignore[attr-defined]
+    if not cls().unsuited(robot, False)
 ]
 
 

@@ -362,7 +362,7 @@ def test_the_timeline_has_faults_alarms_and_decisions() -> None:
                        detector, "policies=[{type: derate}]"])
     )  # fmt: skip
     rows = {row["name"]: row for row in timeline([("a", trace)])}
-    flags = trace.alarm[:, 1] > 0.5  # type: ignore[index]
+    flags = trace.alarm[:, 1] > 0.5
     begins = trace.time[1:][flags[1:] & ~flags[:-1]]
     own = [bar for bar in rows["a: alarms"]["bars"] if bar[2].startswith("joint 2")]
     assert [bar[0] for bar in own] == begins.tolist()

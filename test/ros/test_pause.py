@@ -10,14 +10,14 @@ from typing import Any
 
 import pytest
 
-rclpy = pytest.importorskip("rclpy", reason="ROS 2 (rclpy) is not installed")
+pytest.importorskip("rclpy", reason="ROS 2 (rclpy) is not installed")
 
-from std_srvs.srv import SetBool, Trigger  # noqa: E402
+from std_srvs.srv import SetBool, Trigger
 
-from ftcm_core.scenario import load  # noqa: E402
-from ftcm_core.simulation import simulate  # noqa: E402
-from ftcm_ros.bags.reader import read_bag  # noqa: E402
-from traces import same  # noqa: E402
+from ftcm_core.scenario import load
+from ftcm_core.simulation import simulate
+from ftcm_ros.bags.reader import read_bag
+from traces import same
 
 pytestmark = pytest.mark.ros
 

@@ -39,6 +39,7 @@ def _prepare(parser: argparse.ArgumentParser) -> None:
             for inner in action.choices.values():
                 _prepare(inner)
         elif action.dest in known and not action.choices:
+            # Where argcomplete looks for it; argparse does not know it.
             action.completer = known[action.dest]  # type: ignore[attr-defined]
 
 

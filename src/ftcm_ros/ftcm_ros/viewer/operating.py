@@ -109,10 +109,8 @@ class Operator:
         client = self._node.create_client(order.type, order.service)
         end = time.monotonic() + WAIT_SECONDS
         try:
-            while not client.service_is_ready():
-                if time.monotonic() > end:
-                    return None
-                time.sleep(0.05)
+            if not client.wait_for_service(timeout_sec=WAIT_SECONDS):
+                return None
             while time.monotonic() < end:
                 future = client.call_async(order.request)
                 self._executor.spin_until_future_complete(future, timeout_sec=ASK_AGAIN_SECONDS)
