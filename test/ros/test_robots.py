@@ -108,15 +108,17 @@ def test_a_plant_of_another_library_over_the_graph(
     """MuJoCo moves the robot; the run is that in process, and proved by replay. The rest may be compiled."""
     pytest.importorskip("mujoco", reason="the plant is MuJoCo's (pip install mujoco)")
     run = experiment(
-        "paper", "--controllers", "ftcm", "--replay", "--stages", stages, "--set", "duration=1",
+        "paper", "--controllers", "ftcm", "--replay", "--stages", stages, "--set", "duration=6",
         "--set", "plant.type=mujoco",
         "--set", "robot={type: urdf, motor_inertia: [1.14, 4.71, 0.83]}",
-        "--set", "injection.faults.0.start=0.5",
+        "--set", "injection.faults.0.start=3",
     )  # fmt: skip
     assert run.returncode == 0, run.stderr
     bag = read_bag(tmp_path / "runs" / "test" / "bags" / "ftcm")
     assert bag.trace.scenario.plant.type_name == "mujoco"
     assert same(bag.trace, simulate(bag.trace.scenario)) or stages == "compiled"
-    assert bag.nodes["plant"]["stages"] == "plain"
-    assert bag.nodes["observer"]["stages"] == stages
+    summary = json.loads((tmp_path / "runs" / "test" / "summary.json").read_text(encoding="utf-8"))
+    nodes = summary["timing"]["ftcm"]["nodes"]
+    assert nodes["plant"]["stages"] == "plain"
+    assert nodes["observer"]["stages"] == stages
     assert "equal, float for float" in run.stdout

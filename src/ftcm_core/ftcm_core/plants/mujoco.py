@@ -41,6 +41,8 @@ class MujocoState(NamedTuple):
 class Simulator(NamedTuple):
     """A compiled model, and the memory that MuJoCo works in."""
 
+    mujoco: Any
+    """The module."""
     model: Any
     data: Any
     positions: Any
@@ -109,24 +111,22 @@ class Mujoco(Plant):
 
     def init(self, robot: Robot, position: Vector, velocity: Vector) -> MujocoState:
         """The arm at the given motion, all else where the model has it at first."""
-        mujoco = module()
         simulator = self._simulator(robot)
         data = simulator.data
-        mujoco.mj_resetData(simulator.model, data)
+        simulator.mujoco.mj_resetData(simulator.model, data)
         data.qpos[simulator.positions] = position
         data.qvel[simulator.velocities] = velocity
-        return _state(mujoco, simulator)
+        return _state(simulator)
 
     def step(self, robot: Robot, dt: float, torque: Vector, state: MujocoState) -> MujocoState:
         """Let MuJoCo step, the torque held."""
-        mujoco = module()
         simulator = self._simulator(robot)
-        model, data = simulator.model, simulator.data
+        mujoco, model, data = simulator[:3]
         model.opt.timestep = dt / self.substeps
         mujoco.mj_setState(model, data, state.values, mujoco.mjtState.mjSTATE_INTEGRATION)
         data.qfrc_applied[simulator.velocities] = torque
         mujoco.mj_step(model, data, self.substeps)
-        return _state(mujoco, simulator)
+        return _state(simulator)
 
     def motion(self, state: MujocoState) -> tuple[Vector, Vector]:
         """Of the arm's joints."""
@@ -162,7 +162,9 @@ class Mujoco(Plant):
                     model.jnt_limited[joint] = 0
         model.opt.integrator = getattr(mujoco.mjtIntegrator, INTEGRATORS[self.integrator])
         places = [self._place(mujoco, model, name) for name in robot.joint_names]
-        return Simulator(model, mujoco.MjData(model), *[np.array(x, dtype=np.intp) for x in zip(*places)])
+        return Simulator(
+            mujoco, model, mujoco.MjData(model), *[np.array(x, dtype=np.intp) for x in zip(*places)]
+        )
 
     def _place(self, mujoco: Any, model: Any, name: str) -> tuple[int, int]:
         """Where a joint of the robot is in positions and velocities of the model."""
@@ -200,8 +202,8 @@ def _ignore(text: str) -> None:
     del text
 
 
-def _state(mujoco: Any, simulator: Simulator) -> MujocoState:
-    model, data, positions, velocities = simulator
+def _state(simulator: Simulator) -> MujocoState:
+    mujoco, model, data, positions, velocities = simulator
     kind = mujoco.mjtState.mjSTATE_INTEGRATION
     values = np.empty(mujoco.mj_stateSize(model, kind))
     mujoco.mj_getState(model, data, values, kind)
