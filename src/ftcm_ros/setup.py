@@ -19,7 +19,7 @@ setup(
             ["launch/experiment.launch.py", "launch/node.launch.py", "launch/viewer.launch.py"],
         ),
     ],
-    package_data={"ftcm_ros.transport": ["fastdds.xml"]},
+    package_data={"ftcm_ros.transport": ["fastdds.xml", "fastdds_viewer.xml"]},
     zip_safe=False,
     python_requires=">=3.10",
     # rclpy and the message packages come with ROS, not from here.

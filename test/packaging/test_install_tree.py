@@ -135,11 +135,12 @@ def test_version_is_the_same_wherever_it_is_written(package, root):
     assert importlib.metadata.version(package) == ftcm_core.__version__
 
 
-def test_middleware_settings_are_installed(tmp_path):
+@pytest.mark.parametrize("name", ["fastdds.xml", "fastdds_viewer.xml"])
+def test_middleware_settings_are_installed(tmp_path, name):
     prefix_of("ftcm_ros")
-    code = """
+    code = f"""
 import importlib.resources, json
-file = importlib.resources.files("ftcm_ros.transport") / "fastdds.xml"
+file = importlib.resources.files("ftcm_ros.transport") / {name!r}
 print(json.dumps(file.read_text("utf-8").count("participant")))
 """
     assert run_installed(code, tmp_path) > 0

@@ -19,7 +19,7 @@ from ftcm_core.scenario import load
 from ftcm_core.simulation import simulate
 from ftcm_ros.bags.reader import read_bag
 from ftcm_ros.nodes.parent import PARENT_VARIABLE
-from ftcm_ros.transport.network import PROFILES, SHOWN, set_defaults
+from ftcm_ros.transport.network import PROFILES, SHOWN, VIEWER_PROFILES, set_defaults
 from programs import program
 from traces import same
 
@@ -227,6 +227,18 @@ def test_a_run_over_two_machines_equals_the_in_process_run(
     assert same(bag.trace, again)
 
 
+@pytest.mark.slow
+def test_a_run_is_watched_from_another_machine(machines: tuple[Machine, Machine], tmp_path: Path) -> None:
+    here, there = machines
+    run = here.start(
+        tmp_path, "experiment", "paper", "--controllers", "smc", "--no-figures", "--domain-id", "7", **SUBNET
+    )
+    assert run.stdout is not None
+    assert any("ticks/s" in line for line in run.stdout)
+    said = there.do(*program("run.watch"), "--once", **SUBNET)
+    assert "joint1" in said
+
+
 def test_what_the_user_has_set_stays(monkeypatch: pytest.MonkeyPatch) -> None:
     for name in SHOWN:
         monkeypatch.setenv(name, "")  # so that it is put back
@@ -239,3 +251,14 @@ def test_what_the_user_has_set_stays(monkeypatch: pytest.MonkeyPatch) -> None:
     assert set_defaults().endswith("ROS_SECURITY_ENABLE=true ROS_SECURITY_STRATEGY=Enforce")
     monkeypatch.setenv("ROS_SECURITY_STRATEGY", "Permissive")
     assert set_defaults().endswith("ROS_SECURITY_STRATEGY=Permissive")
+
+
+def test_each_kind_of_process_has_its_settings_of_the_middleware(monkeypatch: pytest.MonkeyPatch) -> None:
+    for name in (variable := "FASTRTPS_DEFAULT_PROFILES_FILE", "ROS_AUTOMATIC_DISCOVERY_RANGE"):
+        monkeypatch.setenv(name, "")
+    for profiles in (PROFILES, VIEWER_PROFILES, PROFILES):
+        set_defaults(profiles)
+        assert os.environ[variable] == str(profiles)
+    monkeypatch.setenv(variable, "mine.xml")
+    set_defaults(VIEWER_PROFILES)
+    assert os.environ[variable] == "mine.xml"

@@ -284,6 +284,26 @@ def test_a_viewer_that_hangs_or_dies_changes_nothing(
 
 
 @pytest.mark.slow
+@pytest.mark.parametrize("name", ["run.watch", "viewer.markers"])
+def test_what_only_looks_takes_nothing_from_shared_memory(
+    live: Callable[..., Any], start: Callable[..., Any], name: str
+) -> None:
+    run = live(*LONG)
+    run.first_tick(("controller", "ftcm"), ("observer", "do"))
+    viewer = start(name)
+    run.until(lambda: name.partition(".")[2] in run.watcher.node.get_node_names(), "the viewer")
+
+    def ports(pid: int) -> set[str]:
+        """Shared memory in which others wait for the process when it is stopped or killed."""
+        files = {os.readlink(path) for path in Path(f"/proc/{pid}/fd").iterdir() if path.exists()}
+        return {file for file in files if re.search(r"/dev/shm/fastrtps_port\d+_[es]l", file)}
+
+    assert ports(run.process.pid), "that of the experiment, which is no viewer"
+    assert ports(viewer.pid) == set()
+    run.interrupt()
+
+
+@pytest.mark.slow
 def test_it_reads_a_run_only_while_that_is_on(live: Callable[..., Any], start: Callable[..., Any]) -> None:
     viewer = start("run.watch")
     run = live(*LONG)

@@ -30,6 +30,7 @@ from ftcm_core.registry import load_plugins
 from ftcm_core.signals import NANOSECONDS
 from ftcm_ros.run.view import SHOWN, Sample, View
 from ftcm_ros.transport.joining import join_as
+from ftcm_ros.transport.network import VIEWER_PROFILES
 from ftcm_ros.transport.plane import message_class, qos
 from ftcm_ros.transport.topics import CHANGES, DIAGNOSTICS, FAULTS, SCENARIO, Topic
 
@@ -152,7 +153,7 @@ def watch(options: argparse.Namespace) -> int:
     where = f"ROS_DOMAIN_ID={os.environ.get('ROS_DOMAIN_ID', '0')}"
     if options.web:
         return _in_browser(options, where)
-    node = join_as("watch")
+    node = join_as("watch", VIEWER_PROFILES)
     watched = Watch(node, health_only=options.health)
     try:
         if options.once:

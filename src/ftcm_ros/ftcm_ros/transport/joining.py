@@ -7,6 +7,7 @@ import contextlib
 import os
 import warnings
 from collections.abc import Iterator, Sequence
+from pathlib import Path
 
 import rclpy
 from rclpy.impl.implementation_singleton import rclpy_implementation as _rclpy
@@ -14,7 +15,7 @@ from rclpy.node import Node
 from rclpy.signals import SignalHandlerOptions
 
 from ftcm_core.errors import FtcmError
-from ftcm_ros.transport.network import enclave, secured, set_defaults
+from ftcm_ros.transport.network import PROFILES, enclave, secured, set_defaults
 
 
 class JoinError(FtcmError):
@@ -43,26 +44,31 @@ def joining() -> Iterator[None]:
         raise JoinError(f"cannot join the ROS graph: {reason}") from error
 
 
-def join(arguments: Sequence[str] | None = None) -> None:
+def join(arguments: Sequence[str] | None = None, profiles: Path = PROFILES) -> None:
     """Initialise ROS; signals stay the caller's.
 
     Args:
         arguments: the command line; None: that of the process.
+        profiles: settings of Fast DDS.
 
     Raises:
         JoinError: ROS cannot start as the environment asks.
     """
-    set_defaults()
+    set_defaults(profiles)
     with joining():
         rclpy.init(args=arguments, signal_handler_options=SignalHandlerOptions.NO)
 
 
-def join_as(name: str) -> Node:
+def join_as(name: str, profiles: Path = PROFILES) -> Node:
     """Initialise ROS and return an ordinary node of the suite's, with its enclave.
+
+    Args:
+        name: the node's.
+        profiles: settings of Fast DDS.
 
     Raises:
         JoinError: ROS cannot start as the environment asks.
     """
-    join(["--ros-args", *enclave(name)])
+    join(["--ros-args", *enclave(name)], profiles)
     with joining():
         return rclpy.create_node(name)

@@ -9,6 +9,8 @@ from pathlib import Path
 
 PROFILES = Path(__file__).with_name("fastdds.xml")
 """Settings of Fast DDS."""
+VIEWER_PROFILES = Path(__file__).with_name("fastdds_viewer.xml")
+"""Those of what only looks at a run: it can keep no node waiting."""
 SHOWN = (
     "ROS_AUTOMATIC_DISCOVERY_RANGE",
     "ROS_STATIC_PEERS",
@@ -55,16 +57,21 @@ def enclave(name: str) -> list[str]:
     return ["--enclave", f"/ftcm/{name}"] if secured() else []
 
 
-def set_defaults() -> str:
+def set_defaults(profiles: Path = PROFILES) -> str:
     """Set the network settings of this process and of those it starts, unless the user has set them.
 
     They then reach this machine only, and use the suite's settings of the middleware. With security, a
     process for which something is missing does not start; by default ROS would start it unsecured.
 
+    Args:
+        profiles: settings of Fast DDS.
+
     Returns:
         What is set, as ``NAME=value`` words.
     """
-    os.environ.setdefault("FASTRTPS_DEFAULT_PROFILES_FILE", str(PROFILES))
+    ours = {"", str(PROFILES), str(VIEWER_PROFILES)}  # also those of the process that has started this one
+    if os.environ.get("FASTRTPS_DEFAULT_PROFILES_FILE", "") in ours:
+        os.environ["FASTRTPS_DEFAULT_PROFILES_FILE"] = str(profiles)
     os.environ.setdefault("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
     if secured():
         os.environ.setdefault("ROS_SECURITY_STRATEGY", "Enforce")

@@ -32,6 +32,7 @@ from ftcm_core.scenario import from_mapping
 from ftcm_ros.run.view import DRAWN, SHOWN, View
 from ftcm_ros.run.watch import Watch
 from ftcm_ros.transport.joining import join_as
+from ftcm_ros.transport.network import VIEWER_PROFILES
 from ftcm_ros.transport.topics import JOINT_STATES, REFERENCE, TRUE_STATE
 from ftcm_ros.viewer import tables
 from ftcm_ros.viewer.arm import drawing
@@ -197,7 +198,7 @@ def main(argv: Sequence[str] | None = None) -> None:
         os.environ["ROS_DOMAIN_ID"] = str(options.domain_id)
     try:
         load_plugins(options.plugin)
-        markers = Markers(join_as("markers"))
+        markers = Markers(join_as("markers", VIEWER_PROFILES))
         while not ended.wait(LOOK_SECONDS):
             markers.look(time.monotonic())
     except FtcmError as error:

@@ -26,6 +26,7 @@ from ftcm_core.errors import FtcmError
 from ftcm_ros.run.view import DRAWN, SHOWN
 from ftcm_ros.run.watch import Watch
 from ftcm_ros.transport.joining import join_as
+from ftcm_ros.transport.network import VIEWER_PROFILES
 
 LOOK_SECONDS = 0.05
 """How often messages are taken and the arm is drawn anew, s."""
@@ -51,7 +52,7 @@ def serve(options: argparse.Namespace, where: str) -> None:
     from ftcm_ros.viewer.page import Page
 
     os.nice(NICE)
-    node = join_as("watch")
+    node = join_as("watch", VIEWER_PROFILES)
     watched = Watch(node, topics=(*SHOWN, *DRAWN))
     operator = Operator(rclpy.create_node("watch_control")) if options.control else None
     try:
