@@ -275,13 +275,14 @@ def test_limits_that_nothing_meets_are_one_line(tmp_path, capsys):
     assert "none of 4 trials met every condition" in error
 
 
+@pytest.mark.parametrize("kind", ["", "_rough"])
 @pytest.mark.parametrize("law", ["ftcm", "smc", "nftsmc"])
-def test_the_shipped_files_can_be_tuned(root, law):
+def test_the_shipped_files_can_be_tuned(root, law, kind):
     pytest.importorskip("scipy", reason="scipy is not installed")
-    tuning = tuning_from_file(str(root / "config" / "tune" / f"{law}.yaml"))
+    tuning = tuning_from_file(str(root / "config" / "tune" / f"{law}{kind}.yaml"))
     assert tuning.start.controller.type_name == law
     same = ("trials", "batch", "seed", "objectives", "limits", "training", "held_out")
-    other = tuning_from_file(str(root / "config" / "tune" / "ftcm.yaml"))
+    other = tuning_from_file(str(root / "config" / "tune" / f"ftcm{kind}.yaml"))
     assert all(getattr(tuning, key) == getattr(other, key) for key in same), "the same procedure and budget"
 
 

@@ -168,7 +168,7 @@ def first_block(page, language, word):
     ("page", "head", "name"),
     [
         (
-            ROOT / "README.md",
+            DOCS / "first_steps.md",
             "from ftcm_core.controllers import AccelerationLaw\nfrom ftcm_core.params import param\n"
             "from ftcm_core.registry import register\n",
             "pd_plus",
@@ -190,12 +190,31 @@ def test_the_first_example_of_a_controller_runs(page, head, name, tmp_path):
     assert abs(trace.error[-1]).max() < 0.1 * abs(trace.error[0]).max()
 
 
-def test_the_notebook_of_the_readme_runs():
+def test_the_notebook_of_the_first_steps_runs():
     pytest.importorskip("matplotlib")
     pytest.importorskip("pandas", reason="pandas is not installed (pip install pandas)")
     found = {}
-    exec(first_block(ROOT / "README.md", "python", "simulate("), found)
+    exec(first_block(DOCS / "first_steps.md", "python", "simulate("), found)
     assert list(found["table"].index[[0, -1]]) == [0.0, 20.0]
+
+
+@pytest.mark.slow
+@pytest.mark.ros
+def test_a_bag_is_read_in_the_notebook_of_the_first_steps(tmp_path, monkeypatch):
+    pytest.importorskip("rclpy", reason="ROS 2 (rclpy) is not installed")
+    pytest.importorskip("matplotlib")
+    pytest.importorskip("pandas", reason="pandas is not installed (pip install pandas)")
+    options = ["--controllers", "ftcm", "--set", "duration=2", "--name", "test", "--no-figures"]
+    run([*program("experiment"), "paper", *options, "--set", "injection.faults=[]"], tmp_path, os.environ)
+    (tmp_path / "mybag").symlink_to(tmp_path / "runs/test/bags/ftcm")
+    monkeypatch.chdir(tmp_path)
+    *lines, largest = first_block(DOCS / "first_steps.md", "python", "read_bag(").strip().splitlines()
+    found = {}
+    exec("\n".join(lines), found)
+    assert found["bag"].missing == {}
+    peaks = eval(largest.partition("#")[0], found)
+    assert peaks[0.0] > 1e-3 > peaks[1.0]
+    assert list(peaks.index) == [0.0, 1.0, 2.0]
 
 
 # ---- the template ----

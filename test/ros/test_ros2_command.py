@@ -259,11 +259,11 @@ def program_of(command: str) -> str:
 @needs_ros2
 @pytest.mark.slow
 @pytest.mark.parametrize("together", [False, True], ids=["processes", "composed"])
-def test_the_commands_of_the_readme_by_hand(shell: Shell, together: bool) -> None:
+def test_the_commands_by_hand(shell: Shell, together: bool) -> None:
     """In their order; `composed` is in the place of the nodes of a tick."""
     nodes: list[Terminal] = []
     done = []
-    for command in commands_of(ROOT / "README.md", "make build"):
+    for command in commands_of(DOCS / "first_steps.md", "make build"):
         kind = command.split()[1:3]
         if kind == ["run", "ftcm_ros"]:
             program = program_of(command)
@@ -299,10 +299,10 @@ def test_the_commands_of_the_readme_by_hand(shell: Shell, together: bool) -> Non
 
 @needs_ros2
 @pytest.mark.slow
-def test_the_experiments_of_the_readme(shell: Shell) -> None:
+def test_the_experiments_of_the_first_steps(shell: Shell) -> None:
     """As they stand there, but shorter and without figures."""
     (shell.folder / "my_scenario.yaml").write_text(load("paper").to_yaml(), "utf-8")
-    found = [c for c in commands_of(ROOT / "README.md") if program_of(c) == "experiment"]
+    found = [c for c in commands_of(DOCS / "first_steps.md", "my_scenario") if program_of(c) == "experiment"]
     assert len(found) == 2
     for k, command in enumerate(found):
         shell(f"{command} --set duration=0.5 --no-figures --name {k} --domain-id $ROS_DOMAIN_ID")
@@ -323,8 +323,8 @@ def test_ctrl_c_ends_an_experiment(shell: Shell, domain: int) -> None:
 
 @needs_ros2
 @pytest.mark.slow
-def test_another_run_is_begun_by_the_command_in_the_readme(shell: Shell) -> None:
-    (again,) = [c for c in commands_in_the_text(ROOT / "README.md") if c.startswith("ros2 lifecycle")]
+def test_another_run_is_begun_by_the_command_in_the_text(shell: Shell) -> None:
+    (again,) = [c for c in commands_in_the_text(DOCS / "first_steps.md") if c.startswith("ros2 lifecycle")]
     short = load("paper", ["duration=0.5"], controller="pid")
     (shell.folder / "short.yaml").write_text(short.to_yaml(), "utf-8")
     plant = shell.terminal("ros2 run ftcm_ros plant --ros-args -p scenario:=short.yaml")

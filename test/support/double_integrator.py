@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """The plant that the laws' proofs are about: one joint, ẍ = u/m + d, moved exactly under held torques."""
 
 from __future__ import annotations

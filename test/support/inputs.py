@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 """Properties checked on a stated number of generated inputs.
 
 The inputs are the same in every run. ``FTCM_INPUTS=20`` checks twenty times as many, drawn anew; an input
