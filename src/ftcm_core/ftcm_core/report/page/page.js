@@ -426,7 +426,7 @@
         context.fillStyle = colours.ink;
         context.textAlign = "left"; context.textBaseline = "top";
         const missing = curve.of - curve.count;
-        context.fillText(curve.name + (missing ? `: ${missing} of ${curve.of} not on the axis` : ""), this.area.x + 5, this.area.y + 36 * k + 2);
+        context.fillText(curve.name + (missing ? `: ${missing} of ${curve.of} not on the axis` : ""), this.area.x + 5, this.area.y + 36 * k + 2, this.area.w - 10);
         if (!curve.box) return;
         const [least, low, quarter, median, three, high, most] = curve.box.map(x => Math.max(-1e5, Math.min(1e5, this.px(x))));
         context.strokeStyle = context.fillStyle = colourOf(curve.run);
@@ -547,7 +547,7 @@
         for (const away of [0, -14, 14, -28, 28, -42, 42]) places.push([cx + 12, cy + away], [cx - 12 - width, cy + away]);
         const free = ([a, b]) => a >= x && a + width <= x + w && b - 6 >= y && b + 6 <= y + h
           && !taken.some(t => a < t[2] && a + width > t[0] && b - 6 < t[3] && b + 6 > t[1]);
-        const [a, b] = places.find(free) || places[0];
+        const [a, b] = places.find(free) || [Math.max(x + 2, Math.min(cx + 12, x + w - width - 2)), cy - 14];
         taken.push([a, b - 6, a + width, b + 6]);
         context.lineWidth = 3; context.strokeStyle = colours.paper; context.strokeText(curve.name, a, b);
         context.fillStyle = colours.ink;
