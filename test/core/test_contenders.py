@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """What a campaign compares: controllers, observers, detectors, and parameter sets by name."""
 
+import importlib.util
 import json
 from pathlib import Path
 
@@ -103,6 +104,8 @@ def test_a_parameter_file_is_taken_by_simulate_and_campaign(tmp_path, capsys):
         ("detectors: [glr]\nvary: {detector.type: 'choice(glr, cusum)'}", "detector.type: is set, and"),
         ("contenders: {a: []}\nset: [observer=eso]", "observer: is set, and contenders are given too"),
         ("sampling: 5", "sampling: 5 is none"),
+        ("contenders: {a @ b: []}", "'a @ b': a name of a contender or scenario has no ' @ '"),
+        ("scenarios: [paper]", "scenario: scenarios are given too"),
     ],
 )
 def test_mistakes_are_one_line(tmp_path, text, said):
@@ -110,6 +113,57 @@ def test_mistakes_are_one_line(tmp_path, text, said):
     with pytest.raises(FtcmError) as error:
         campaign.from_file(str(tmp_path / "c.yaml"))
     assert said in str(error.value)
+
+
+@pytest.fixture
+def two_arms(tmp_path):
+    """A campaign of two laws on an arm of two and one of three joints."""
+    loss = "injection: {faults: [{type: loss_of_effectiveness, joint: 2, start: 0.02}]}"
+    common = f"reference: sine\ncontroller: ftcm\nobserver: do\n{loss}\n"
+    robot = ROOT / "config" / "robots" / "two_joint.urdf"
+    (tmp_path / "two.yaml").write_text(f"robot: {{type: urdf, file: {robot}}}\n{common}")
+    (tmp_path / "three.yaml").write_text(f"robot: puma560\n{common}")
+    (tmp_path / "c.yaml").write_text(
+        "scenarios: [two.yaml, three.yaml]\nruns: 3\ncontrollers: [ftcm, ctc]\n"
+        "set: [duration=0.05, transient=0.01]\nvary: {injection.faults.0.loss: 'uniform(0.2, 0.8)'}\n"
+    )
+    return campaign.from_file(str(tmp_path / "c.yaml"))
+
+
+def test_every_contender_runs_in_every_scenario_with_the_same_draws(two_arms, tmp_path):
+    folder = tmp_path / "out"
+    folder.mkdir()
+    summary = campaign.run_campaign(two_arms, engine="plain", jobs=1, folder=folder)
+    assert list(summary["results"]) == ["ftcm @ two", "ctc @ two", "ftcm @ three", "ctc @ three"]
+    runs = list(campaign.read_runs(folder / "runs.jsonl"))
+    drawn = [r["set"][-1] for r in runs]
+    assert [len(set(drawn[i : i + 4])) for i in range(0, 12, 4)] == [1, 1, 1]
+    assert len(set(drawn)) == 3
+    joints = [len(r["metrics"]["after_fault"]["mean_abs_error"]) for r in runs[:4]]
+    assert joints == [2, 2, 3, 3]
+    one = runs[5]
+    scenario = load(dict(two_arms.scenarios)["two"], one["set"], one["controller"])
+    assert json.loads(json.dumps(evaluate(simulate(scenario)))) == one["metrics"]
+    if importlib.util.find_spec("pyarrow"):
+        from pyarrow import parquet
+
+        column = parquet.read_table(folder / "runs.parquet")["after_fault.mean_abs_error.joint3"]
+        assert [x is None for x in column.to_pylist()] == [True, True, False, False] * 3
+
+
+def test_contenders_are_compared_within_their_scenario(two_arms):
+    summary = campaign.run_campaign(two_arms, engine="plain", jobs=1)
+    pairs = {tuple(pair["contenders"]) for pair in summary["comparisons"]}
+    assert pairs == {("ftcm @ two", "ctc @ two"), ("ftcm @ three", "ctc @ three")}
+    assert {len(one["contenders"]) for one in summary["ranking"]} == {2}
+    lines = [line for line in campaign.table(summary).splitlines() if line.startswith("|")]
+    assert any("ftcm @ three / ctc @ three" in line for line in lines)
+
+
+def test_two_scenarios_of_one_name_are_refused(tmp_path):
+    (tmp_path / "c.yaml").write_text("scenarios: [paper, paper]\n")
+    with pytest.raises(FtcmError, match="paper: is given twice; a scenario is called as its file is"):
+        campaign.from_file(str(tmp_path / "c.yaml"))
 
 
 def test_a_parameter_file_without_parameters_is_refused(tmp_path, capsys):
@@ -120,10 +174,10 @@ def test_a_parameter_file_without_parameters_is_refused(tmp_path, capsys):
 
 @pytest.mark.parametrize("file", sorted((ROOT / "config" / "suites").glob("*.yaml")), ids=lambda p: p.stem)
 def test_the_shipped_suites_can_be_run(file):
-    """Their first draw with every contender, for a tenth of a second."""
+    """Their first and last draw with every contender, for some hundredths of a second."""
     planned = campaign.from_file(str(file))
-    first = [run for run in planned.run_list() if run.number == 0]
-    assert len(first) >= 3
-    for run in first:
-        scenario = replace(planned.scenario(run), duration=0.1)
+    some = [run for run in planned.run_list() if run.number in (0, planned.runs - 1)]
+    assert len(some) >= 6
+    for run in some:
+        scenario = replace(planned.scenario(run), duration=0.04)
         assert simulate(scenario).status == "completed"

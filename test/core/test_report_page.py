@@ -6,9 +6,12 @@ from __future__ import annotations
 import base64
 import dataclasses
 import functools
+import importlib.util
 import json
+import math
 import re
 import shlex
+from collections.abc import Mapping, Sequence
 from html.parser import HTMLParser
 from pathlib import Path
 from typing import Any
@@ -25,7 +28,7 @@ from ftcm_core.report.page.conclusions import conclusions, times
 from ftcm_core.report.page.curves import BARS, EVENTS, INTERVALS, page_data, single, timeline
 from ftcm_core.report.page.decimation import AFTER, BEFORE, intervals, kept
 from ftcm_core.report.page.markup import from_markdown
-from ftcm_core.report.page.of_campaign import QUANTILES, campaign_page
+from ftcm_core.report.page.of_campaign import QUANTILES, campaign_page, pareto_front
 from ftcm_core.report.page.of_runs import repeatable
 from ftcm_core.report.page.of_suite import verdict as suite_verdict
 from ftcm_core.report.results import labelled, write_results
@@ -386,14 +389,15 @@ def test_the_page_of_a_campaign_shows_the_quantiles_of_its_summary(tmp_path: Pat
     page = Page(out)
     page.check_alone()
     summary = json.loads((out / "summary.json").read_text(encoding="utf-8"))
-    columns = {c["name"]: c for c in page.data["campaign"]["columns"]}
+    (group,) = page.data["campaign"]["groups"]
+    columns = {c["name"]: c for c in group["columns"]}
     joints = columns["after fault: mean abs error, rad"]["joints"]
     at = {q: i for i, q in enumerate(QUANTILES)}
     for run_number, law in enumerate(("smc", "ftcm")):
         entry = summary["results"][law]["metrics"]["after_fault"]["mean_abs_error"]
         for joint in range(3):
             shown = joints[joint][run_number]
-            assert (shown["run"], shown["count"]) == (run_number, 5)
+            assert (shown["run"], shown["count"], shown["of"]) == (run_number, 5, 5)
             for name, quantile in (("median", 0.5), ("q05", 0.05), ("q95", 0.95)):
                 assert shown["box"][at[quantile]] == pytest.approx(entry[name][joint], rel=1e-12)
     lines = list(campaign.read_runs(out / "runs.jsonl"))
@@ -410,9 +414,79 @@ def test_a_campaign_without_a_completed_run_has_a_page() -> None:
         "campaign": {"scenario": "x"}, "provenance": {},
         "results": {"a": {"runs": 2, "completed": 0.0}},
     }  # fmt: skip
-    lines = [{"run": k, "controller": "a", "status": "diverged", "metrics": {}} for k in (0, 1)]
+    lines = [{"run": k, "contender": "a", "status": "diverged", "metrics": {}} for k in (0, 1)]
     text = campaign_page(summary, lines, "", ())
     assert "Runs that did not complete: 2 of 2 of a." in text
+
+
+def made_up_campaign(
+    completed: Mapping[str, Sequence[bool]], vary: Mapping[str, str] | None = None
+) -> tuple[dict[str, Any], list[dict[str, Any]]]:
+    """Summary and runs of contenders of one controller: errors and torques grow with the draw's number."""
+    lines = []
+    for number in range(len(next(iter(completed.values())))):
+        for place, (name, done) in enumerate(completed.items()):
+            row = {
+                "mean_abs_error": [1e-3 * (1 + number + place)] * 2,
+                "torque_total_variation": [10.0 + number] * 2,
+            }
+            lines.append(
+                {"run": number, "contender": name, "controller": "ftcm", "set": [f"x={number}"],
+                 "status": "completed" if done[number] else "diverged",
+                 "metrics": {"after_fault": row, "after_transient": row}}
+            )  # fmt: skip
+    results = {
+        name: {"runs": len(done), "completed": sum(done) / len(done)} for name, done in completed.items()
+    }
+    about = {"scenario": "x", "vary": dict(vary or {})}
+    return {"campaign": about, "provenance": {}, "results": results}, lines
+
+
+def written(summary: dict[str, Any], lines: list[dict[str, Any]], folder: Path) -> Page:
+    (folder / "report.html").write_text(campaign_page(summary, lines, "", ()), encoding="utf-8")
+    return Page(folder)
+
+
+def test_runs_that_did_not_complete_are_counted_beside_every_plot(tmp_path: Path) -> None:
+    done = {"all": [True] * 12, "some": [True] * 8 + [False] * 4, "few": [True] * 2 + [False] * 10}
+    page = written(*made_up_campaign(done, {"x": "uniform(0, 12)"}), tmp_path)
+    (group,) = page.data["campaign"]["groups"]
+    boxes = group["columns"][0]["joints"][0]
+    assert [(box["count"], box["of"]) for box in boxes] == [(12, 12), (8, 12), (2, 12)]
+    assert (
+        "off the axes are the runs that did not complete: some 4 of 12; few 10 of 12, so without a mark."
+        in page.text
+    )
+    marks = {page.data["runs"][law["run"]]["label"]: law for law in group["tradeoff"][0]["laws"]}
+    if importlib.util.find_spec("scipy"):
+        assert [mark["values"][0] > 0.9 for mark in group["sensitivity"][0]["marks"]] == [True, True, False]
+    assert [three[1] for three in marks["few"]["spread"]] == [None, None], "the median run did not complete"
+    assert [three[2] for three in marks["some"]["spread"]] == [None, None]
+    assert marks["all"]["spread"][1][1] == pytest.approx(6.5e-3)
+    assert [marks[name]["front"] for name in done] == [True, False, False]
+
+
+def test_contenders_with_the_same_controller_are_told_apart(tmp_path: Path) -> None:
+    page = written(*made_up_campaign({"Table 1": [True] * 3, "slower": [True] * 3}), tmp_path)
+    assert (
+        "After the fault Table 1 had the smallest mean |e| (mean of the joints) in 3 of 3 draws" in page.text
+    )
+    assert [len(joint) for joint in page.data["campaign"]["groups"][0]["columns"][0]["joints"]] == [2, 2]
+
+
+def test_contenders_of_several_scenarios_are_drawn_by_scenario(tmp_path: Path) -> None:
+    names = ("a @ one", "b @ one", "a @ two", "b @ two")
+    page = written(*made_up_campaign(dict.fromkeys(names, [True] * 3)), tmp_path)
+    assert [run["label"] for run in page.data["runs"]] == ["a", "b"]
+    groups = page.data["campaign"]["groups"]
+    assert [group["name"] for group in groups] == ["one", "two"]
+    assert [[law["run"] for law in group["tradeoff"][0]["laws"]] for group in groups] == [[0, 1], [0, 1]]
+    assert "two: after the fault a had the smallest mean |e|" in page.text
+
+
+def test_the_pareto_front_is_of_those_that_no_other_beats_in_both() -> None:
+    points = [(1.0, 5.0), (2.0, 2.0), (3.0, 2.0), (4.0, 1.0), (4.0, 4.0), (0.5, math.inf), (2.0, 2.0)]
+    assert pareto_front(points) == [True, True, False, True, False, False, True]
 
 
 def test_the_verdict_of_a_suite_counts_its_rows() -> None:

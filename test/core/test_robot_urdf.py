@@ -351,6 +351,16 @@ def test_the_tip_is_the_last_link_that_moves_unless_named() -> None:
     assert Urdf().tip_torque(q, down)[2] == 0.0, "the origin of link 3 lies on its own axis"
 
 
+def test_the_puma_of_six_joints_with_its_wrist_at_zero_is_that_of_three() -> None:
+    six, three = Urdf(file=str(ROOT / "config/robots/puma560_six.urdf")), Urdf()
+    for q in np.random.default_rng(4).uniform(-2, 2, (5, 3)).tolist():
+        whole = (*q, 0.0, 0.0, 0.0)
+        assert six.gravity(whole)[:3] == pytest.approx(three.gravity(tuple(q)), abs=1e-12)
+        a = tuple(np.random.default_rng(5).uniform(-1, 1, 3).tolist())
+        torque = six.inertia_torque(whole, (*a, 0.0, 0.0, 0.0))[:3]
+        assert torque == pytest.approx(three.inertia_torque(tuple(q), a), rel=1e-12, abs=1e-12)
+
+
 # ---- where the file is ----
 
 

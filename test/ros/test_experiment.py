@@ -20,6 +20,7 @@ import pytest
 
 pytest.importorskip("rclpy", reason="ROS 2 (rclpy) is not installed")
 
+from ftcm_core import campaign
 from ftcm_core.scenario import load
 from ftcm_core.simulation import simulate
 from ftcm_ros.bags.reader import BagContents, read_bag
@@ -57,6 +58,27 @@ def test_lockstep_equals_the_in_process_run(experiment: Experiment, tmp_path: Pa
     assert "detection" not in bag.stamps
     summary = json.loads((tmp_path / "runs" / "test" / "summary.json").read_text())
     assert set(summary["timing_us"][controller]) == {"observer", "controller", "injector", "chain"}
+
+
+def test_draws_of_a_campaign_have_the_rows_of_the_run_in_process(
+    experiment: Experiment, tmp_path: Path
+) -> None:
+    file = tmp_path / "campaign.yaml"
+    file.write_text(
+        "scenario: paper\nruns: 4\nsampling: random\ncontenders:\n  a: [controller.type=ftcm]\n"
+        "  b c: [controller.type=ctc]\nset: [duration=0.3, transient=0.1, injection.faults.0.start=0.2]\n"
+        "vary: {injection.faults.0.severity: 'uniform(0.5, 1.5)'}\n"
+    )
+    run = experiment(str(file), "--composed")
+    assert run.returncode == 0, run.stderr
+    assert sorted(path.name for path in (tmp_path / "runs" / "test" / "bags").iterdir()) == ["a-0", "b-c-0"]
+    rows = list(campaign.read_runs(tmp_path / "runs" / "test" / "runs.jsonl"))
+    planned = campaign.from_file(str(file))
+    expected = [campaign.run_one(planned, run, "plain") for run in planned.run_list()[:2]]
+    assert [row.pop("engine") for row in rows] == ["graph, lockstep"] * 2
+    for one in expected:
+        one.pop("engine")
+    assert rows == json.loads(json.dumps(expected))
 
 
 @pytest.mark.parametrize(
@@ -363,6 +385,7 @@ def test_nodes_that_somebody_else_starts(
         (["papr"], "did you mean 'paper'?"),
         (["paper", "--controllers", "scm"], "did you mean 'smc'?"),
         (["paper", "--controllers", "smc", "smc"], "each may be named once"),
+        (["paper", "--draws", "2"], "--draws 2: 'paper' is a scenario; expected a campaign file"),
         (["paper", "--set", "observer.k1=-1"], "observer.k1: -1 is out of range"),
         (["paper", "--set", "observer.type=none", "--controllers", "ftcm"], "uses the disturbance estimate"),
         (["paper", "--plugin", "nowhere.py"], "plug-in 'nowhere.py': no such file"),

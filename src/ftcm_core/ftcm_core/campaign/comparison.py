@@ -19,7 +19,7 @@ from __future__ import annotations
 
 import itertools
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -28,28 +28,48 @@ from ftcm_core.campaign.intervals import median_interval
 from ftcm_core.extras import has
 from ftcm_core.recording.trace import Array
 
+AT = " @ "
+"""Between a contender's name and that of its scenario, where a campaign has several."""
 Kept = Mapping[tuple[str, str], Mapping[int, Sequence[float]]]
 """Window and metric, to number of the run, to values per joint: the completed runs of a contender."""
 
 
+def by_scenario(contenders: Iterable[str]) -> dict[str, list[str]]:
+    """Return the contenders of each scenario; of a campaign with one, its name is empty."""
+    found: dict[str, list[str]] = {}
+    for name in contenders:
+        found.setdefault(name.partition(AT)[2], []).append(name)
+    return found
+
+
 def comparisons(kept: Mapping[str, Kept], runs: int) -> dict[str, Any]:
-    """Compare contenders: the parts ``completions``, ``comparisons`` and ``ranking`` of a summary.
+    """Compare contenders: the parts ``comparisons`` and ``ranking`` of a summary.
+
+    Those of one scenario are compared with each other.
 
     Args:
         kept: by contender.
         runs: number of draws.
     """
     metrics = [key for key in next(iter(kept.values())) if any(one[key] for one in kept.values())]
+    fields = list(by_scenario(kept).values())
     pairs = [
         _pair(names, metric, *(kept[name][metric] for name in names))
         for metric in metrics
-        for names in itertools.combinations(kept, 2)
+        for field in fields
+        for names in itertools.combinations(field, 2)
     ]
     pairs = [pair for pair in pairs if pair["joints"]]
     tests = [joint for pair in pairs for joint in pair["joints"]]
     for joint, p in zip(tests, holm([joint["p"] for joint in tests])):
         joint["p_holm"] = p
-    return {"comparisons": pairs, "ranking": [ranking(kept, metric, runs) for metric in metrics]}
+    ranked = [
+        ranking({name: kept[name] for name in field}, metric, runs)
+        for metric in metrics
+        for field in fields
+        if len(field) > 1 and any(kept[name][metric] for name in field)
+    ]
+    return {"comparisons": pairs, "ranking": ranked}
 
 
 def _pair(

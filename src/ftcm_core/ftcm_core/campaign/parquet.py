@@ -41,7 +41,8 @@ def write_parquet(
     import pyarrow as pa
     from pyarrow import parquet
 
-    joints = range(campaign.scenario(runs[0]).robot.joints)
+    field = [run for run in runs if run.number == runs[0].number]  # robots of several scenarios may differ
+    joints = range(max(campaign.scenario(run).robot.joints for run in field))
     measured = [(w, m, j) for w in WINDOWS for m in METRICS for j in joints]
     fields = [pa.field("run", pa.int64()), *(pa.field(name, pa.string()) for name in _TEXTS)]
     kinds = {v.path: _NUMERIC.get(v.kind, "string") for v in campaign.variations}
@@ -58,7 +59,10 @@ def write_parquet(
             result["run"],
             *(result[name] for name in _TEXTS),
             *(numbers[kind](run.drawn[p]) for p, kind in kinds.items()),
-            *(metrics[w][m][j] if metrics.get(w) else None for w, m, j in measured),
+            *(
+                metrics[w][m][j] if metrics.get(w) and j < len(metrics[w][m]) else None
+                for w, m, j in measured
+            ),
         ]
 
     schema = pa.schema(fields, metadata={"ftcm": json.dumps(about)})

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What a campaign runs: a scenario, what varies, how often, with which contenders."""
+"""What a campaign runs: a scenario or several, what varies, how often, with which contenders."""
 
 from __future__ import annotations
 
@@ -12,6 +12,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
+from ftcm_core.campaign.comparison import AT
 from ftcm_core.campaign.sampling import SAMPLINGS, draws
 from ftcm_core.campaign.variation import Variation, parse_variation
 from ftcm_core.errors import FtcmError, ScenarioError, shown, suggestion
@@ -22,7 +23,7 @@ from ftcm_core.scenario.parameter_files import parameter_overrides
 MAX_RUNS = 1_000_000
 CHOSEN = {"controllers": "controller", "observers": "observer", "detectors": "detector"}
 """Keys of a campaign that name components, and their kind: every combination is a contender."""
-KEYS = ("scenario", "runs", "seed", "sampling", "vary", "set", *CHOSEN, "contenders")
+KEYS = ("scenario", "scenarios", "runs", "seed", "sampling", "vary", "set", *CHOSEN, "contenders")
 
 
 @dataclass(frozen=True)
@@ -37,14 +38,16 @@ class Run:
     """What the results call it."""
     settings: tuple[str, ...] = ()
     """What makes it this contender, as of ``--set``, beside the controller."""
+    scenario: str = ""
+    """Name of its scenario, where the campaign has several."""
 
 
 @dataclass(frozen=True)
 class Campaign:
-    """A scenario, what varies, and how often."""
+    """A scenario or several, what varies, and how often."""
 
     source: str
-    """Scenario file or name of a shipped one."""
+    """Scenario file or name of a shipped one; of several, the first."""
     runs: int = 100
     seed: int = 0
     variations: tuple[Variation, ...] = ()
@@ -59,7 +62,9 @@ class Campaign:
     """In the place of those: names, and what makes each of them, as of ``--set``."""
     sampling: str = "random"
     """One of :data:`~ftcm_core.campaign.sampling.SAMPLINGS`."""
-    _read: list[Any] = field(default_factory=list, repr=False, compare=False)
+    scenarios: tuple[tuple[str, str], ...] = ()
+    """In the place of the one: names and sources. Each contender runs in each, with the same draws."""
+    _read: dict[str, tuple[dict[str, Any], str]] = field(default_factory=dict, repr=False, compare=False)
 
     def __post_init__(self) -> None:
         """Check what can be checked without the scenario."""
@@ -74,6 +79,13 @@ class Campaign:
         for path in paths:
             if paths.count(path) > 1:
                 raise FtcmError(f"--vary {path}: is varied twice")
+        scenarios = [name for name, _ in self.scenarios]
+        for name in scenarios:
+            if scenarios.count(name) > 1:
+                raise FtcmError(f"scenarios: {name}: is given twice; a scenario is called as its file is")
+        for name in (*scenarios, *(name for name, _ in self.contenders)):
+            if AT in name:
+                raise FtcmError(f"{shown(name)}: a name of a contender or scenario has no {AT!r}; rename it")
         set_as_a_whole = {text.partition("=")[0].strip() for text in self.overrides} | set(paths)
         for key, kind in CHOSEN.items():
             names = getattr(self, key)
@@ -87,26 +99,35 @@ class Campaign:
 
     def run_list(self) -> list[Run]:
         """Return all runs: of each draw, one with each contender."""
-        field = self._field()
+        field = [
+            (name + AT * bool(scenario) + scenario, controller, more, scenario)
+            for scenario, _ in self.scenarios or (("", ""),)
+            for name, controller, more in self._field(scenario)
+        ]
         drawn = draws(self.variations, self.sampling, self.seed, self.runs)
         return [
-            Run(n, controller, d, name, more) for n, d in enumerate(drawn) for name, controller, more in field
+            Run(n, controller, d, name, more, scenario)
+            for n, d in enumerate(drawn)
+            for name, controller, more, scenario in field
         ]
 
-    def _field(self) -> list[tuple[str, str, tuple[str, ...]]]:
-        """Name, controller and settings of each contender."""
+    def _field(self, scenario: str) -> list[tuple[str, str, tuple[str, ...]]]:
+        """Name, controller and settings of each contender in a scenario."""
         if self.contenders:
             return [
-                (name, self.scenario(Run(0, "", {}, name, more)).controller.type_name, more)
+                (name, self.scenario(Run(0, "", {}, name, more, scenario)).controller.type_name, more)
                 for name, more in self.contenders
             ]
-        controllers = self.controllers or (self.scenario(Run(0, "", {})).controller.type_name,)
+        own = self._plain(scenario)[0]
+        controllers = self.controllers or (
+            self.scenario(Run(0, "", {}, scenario=scenario)).controller.type_name,
+        )
         chosen = (controllers, self.observers or ("",), self.detectors or ("",))
         found = []
         for controller, observer, detector in itertools.product(*map(dict.fromkeys, chosen)):
             more = [f"observer.type={observer}"] * bool(observer)
             if detector:  # a scenario may have none, or null
-                more.append(f"detector{'.type' if self.mapping().get('detector') else ''}={detector}")
+                more.append(f"detector{'.type' if own.get('detector') else ''}={detector}")
             found.append(("+".join(filter(None, (controller, observer, detector))), controller, tuple(more)))
         return found
 
@@ -115,12 +136,18 @@ class Campaign:
         return [*run.settings, *self.overrides, *(f"{path}={value}" for path, value in run.drawn.items())]
 
     def mapping(self) -> dict[str, Any]:
-        """Return the plain data of the scenario, read once."""
-        if not self._read:
-            data, _, origin = read_mapping(self.source)
-            self._read.append((with_plugins(data, self.source, origin), origin))
-        read: dict[str, Any] = self._read[0][0]
-        return read
+        """Return the plain data of the scenario, or of several by name."""
+        if self.scenarios:
+            return {name: self._plain(name)[0] for name, _ in self.scenarios}
+        return self._plain("")[0]
+
+    def _plain(self, scenario: str) -> tuple[dict[str, Any], str]:
+        """Plain data of a scenario, and what to call its file in errors; read once."""
+        if scenario not in self._read:
+            source = dict(self.scenarios).get(scenario, self.source)
+            data, _, origin = read_mapping(source)
+            self._read[scenario] = with_plugins(data, source, origin), origin
+        return self._read[scenario]
 
     def scenario(self, run: Run) -> Scenario:
         """Return the scenario of a run.
@@ -128,12 +155,13 @@ class Campaign:
         Raises:
             ScenarioError: a value does not fit; the message names the run.
         """
-        data = copy.deepcopy(self.mapping())
+        read, origin = self._plain(run.scenario)
+        data = copy.deepcopy(read)
         settings = self.settings(run)
         try:
             for text in [f"controller.type={run.controller}"] * bool(run.controller) + settings:
                 apply_override(data, text)
-            return from_mapping(data, origin=self._read[0][1])
+            return from_mapping(data, origin=origin)
         except ScenarioError as error:
             if not run.drawn:
                 raise
@@ -144,6 +172,7 @@ class Campaign:
         """Return the campaign as plain data: what a campaign file has."""
         return {
             "scenario": self.source,
+            **({"scenarios": dict(self.scenarios)} if self.scenarios else {}),
             "runs": self.runs,
             "seed": self.seed,
             "sampling": self.sampling,
@@ -156,7 +185,7 @@ class Campaign:
 
 def is_campaign(data: Mapping[str, Any]) -> bool:
     """Whether the plain data of a YAML file are a campaign, not a scenario."""
-    return "scenario" in data
+    return "scenario" in data or "scenarios" in data
 
 
 def from_file(source: str) -> Campaign:
@@ -176,20 +205,25 @@ def from_file(source: str) -> Campaign:
     vary = data.get("vary", {})
     if not isinstance(vary, dict) or not all(isinstance(x, str) for v in vary.items() for x in v):
         raise FtcmError(f"{origin}: vary: expected a mapping of paths to distributions, e.g. uniform(1, 2)")
-    for key in ("set", *CHOSEN):
+    for key in ("set", "scenarios", *CHOSEN):
         if not isinstance(data.get(key, []), list) or not all(isinstance(v, str) for v in data.get(key, [])):
             raise FtcmError(f"{origin}: {key}: {shown(data[key])} is not a list of texts")
-    scenario = data.get("scenario")
-    if not isinstance(scenario, str):
-        raise FtcmError(f"{origin}: scenario: {shown(scenario)} is not a path or name")
+    several = data.get("scenarios", [])
+    if several and "scenario" in data:
+        raise FtcmError(f"{origin}: scenario: scenarios are given too; give one of them")
+    for scenario in several or [data.get("scenario")]:
+        if not isinstance(scenario, str):
+            raise FtcmError(f"{origin}: scenario: {shown(scenario)} is not a path or name")
     folder = Path(source).parent
-    path = beside(folder, scenario)
-    with contextlib.suppress(ScenarioError):  # it is told when the scenario is read for the first run
-        read, _, place = read_mapping(path)
-        with_plugins(read, path, place)
+    paths = [beside(folder, scenario) for scenario in several or [data["scenario"]]]
+    for path in paths:
+        with contextlib.suppress(ScenarioError):  # it is told when the scenario is read for the first run
+            read, _, place = read_mapping(path)
+            with_plugins(read, path, place)
     try:
         return Campaign(
-            source=path,
+            source=paths[0],
+            scenarios=tuple((Path(path).stem, path) for path in paths) if several else (),
             runs=data.get("runs", 100),
             seed=data.get("seed", 0),
             variations=tuple(parse_variation(f"{path}={text}") for path, text in vary.items()),

@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from ftcm_core.campaign.comparison import comparisons
+from ftcm_core.campaign.comparison import by_scenario, comparisons
 from ftcm_core.campaign.intervals import median_interval, wilson_interval
 from ftcm_core.recording.detection import pooled_scores
 from ftcm_core.recording.trace import ENDED_EARLY
@@ -23,7 +23,7 @@ SHOWN = (
 )
 """What the table shows, and what contenders are compared in; ``summary.json`` has the quantiles of all."""
 MOST_IN_FULL = 3
-"""Of so many contenders the table compares each with each, of more each with the first."""
+"""Of so many contenders of a scenario the table compares each with each, of more each with the first."""
 
 
 class Statistics:
@@ -126,12 +126,9 @@ def table(summary: Mapping[str, Any]) -> str:
 
 
 def _comparison_lines(summary: Mapping[str, Any]) -> list[str]:
-    names = list(summary["results"])
-    shown = [
-        pair
-        for pair in summary.get("comparisons", ())
-        if len(names) <= MOST_IN_FULL or pair["contenders"][0] == names[0]
-    ]
+    fields = by_scenario(summary["results"]).values()
+    firsts = {name for field in fields for name in (field if len(field) <= MOST_IN_FULL else field[:1])}
+    shown = [pair for pair in summary.get("comparisons", ()) if pair["contenders"][0] in firsts]
     lines = []
     if shown:
         rows = []
@@ -151,15 +148,13 @@ def _comparison_lines(summary: Mapping[str, Any]) -> list[str]:
         least = "-" if one["critical_difference"] is None else f"{one['critical_difference']:.3g}"
         for i, name in enumerate(one["contenders"]):
             cells = [f"{joint['mean_ranks'][i]:.3g}" for joint in one["joints"]]
-            ranked.append([one["window"], one["metric"], name, *cells, least])
+            ranked.append([one["window"], one["metric"], name, least, *cells])
     if ranked:
-        joints = len(ranked[0]) - 4
-        head = ["window", "metric", "contender", *_joints(joints), "critical difference"]
         lines += [
             "Mean rank over the draws, 1 is the smallest value; ranks nearer than the critical difference "
             "(Nemenyi, 5 %) are not told apart:",
             "",
-            markdown([head, *ranked]),
+            _per_joint(["window", "metric", "contender", "critical difference"], ranked),
             "",
         ]
     return lines
@@ -183,8 +178,6 @@ def _with_interval(value: float | None, interval: Sequence[float] | None) -> str
 
 
 def _per_joint(head: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
-    return markdown([[*head, *_joints(len(rows[0]) - len(head))], *rows])
-
-
-def _joints(count: int) -> list[str]:
-    return [f"joint {j + 1}" for j in range(count)]
+    width = max(map(len, rows))  # robots of several scenarios may have other numbers of joints
+    joints = [f"joint {j + 1}" for j in range(width - len(head))]
+    return markdown([[*head, *joints], *([*row, *[""] * (width - len(row))] for row in rows)])

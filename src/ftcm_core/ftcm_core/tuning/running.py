@@ -172,7 +172,7 @@ def _compare(
 ) -> dict[str, Any]:
     """Run start and result over the same draws, which the search has not seen."""
     contenders = ((START, tuning.settings), (TUNED, (*tuning.settings, *settings)))
-    campaign = dataclasses.replace(tuning.held_out, contenders=contenders, _read=[])
+    campaign = dataclasses.replace(tuning.held_out, contenders=contenders, _read={})
     folder.mkdir(exist_ok=True)
     return run_campaign(
         campaign, engine=engine, jobs=jobs, folder=folder, resume=(folder / IDENTITY).exists(), note=note

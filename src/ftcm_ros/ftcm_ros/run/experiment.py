@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """The command ``experiment``: runs a scenario over the ROS graph, one run per controller, and reports.
 
+Of a campaign, it runs the first draws, one run per contender and draw.
 A run starts the nodes, as processes of their own or composed in one, follows them and stops them. A run that
 fails ends with its reason, and the next controller's begins. Then the bags are read back and reported.
 
@@ -22,6 +23,7 @@ from ftcm_core.registry import load_plugins
 from ftcm_core.report.figures import FORMATS, figure_formats
 from ftcm_core.scenario import load
 from ftcm_ros.parameters.node_parameters import setting
+from ftcm_ros.run.campaign_runs import first_draws
 from ftcm_ros.run.external_nodes import AmbientDomain
 from ftcm_ros.run.graph_run import Interrupted, Run, composed, use_domain
 from ftcm_ros.run.progress import say
@@ -42,7 +44,13 @@ def build_parser() -> argparse.ArgumentParser:
         description="Run a scenario over the ROS graph, one run per controller, and report.",
     )
     parser.add_argument(
-        "scenario", nargs="?", default="paper", help="scenario file, or name of a shipped one"
+        "scenario",
+        nargs="?",
+        default="paper",
+        help="scenario file, or name of a shipped one; or a campaign file, of which the first draws are run",
+    )
+    parser.add_argument(
+        "--draws", type=int, metavar="N", help="of a campaign: so many draws, each with every contender (1)"
     )
     parser.add_argument(
         "--controllers",
@@ -137,9 +145,16 @@ def run_experiment(options: argparse.Namespace) -> int:
     figure_formats(options.figure_format)
     check_speed(options.speed, options.mode)
     load_plugins(options.plugin)
-    names = options.controllers or (PAPER_CONTROLLERS if options.scenario == "paper" else [None])
-    scenarios = [load(options.scenario, options.set, controller=n) for n in names]
-    labels = [s.controller.type_name for s in scenarios]
+    drawn = first_draws(options.scenario, options.set, options.draws)
+    if drawn:
+        if options.controllers:
+            raise FtcmError("--controllers: a campaign names its contenders; leave it out")
+        labels = list(drawn.runs)
+        scenarios = [drawn.planned.scenario(run) for run in drawn.runs.values()]
+    else:
+        names = options.controllers or (PAPER_CONTROLLERS if options.scenario == "paper" else [None])
+        scenarios = [load(options.scenario, options.set, controller=n) for n in names]
+        labels = [s.controller.type_name for s in scenarios]
     if len(set(labels)) < len(labels):
         raise FtcmError(f"controllers {labels}: each may be named once")
     if options.external_nodes and options.composed:
@@ -149,7 +164,8 @@ def run_experiment(options: argparse.Namespace) -> int:
             f"--external-nodes: {len(labels)} controllers ({', '.join(labels)}); expected one, "
             "choose it with --controllers"
         )
-    name = options.name or f"{scenarios[0].name}-{time.strftime('%Y%m%d-%H%M%S')}"
+    title = Path(options.scenario).stem if drawn else scenarios[0].name
+    name = options.name or f"{title}-{time.strftime('%Y%m%d-%H%M%S')}"
     if Path(name).name != name:
         what = f"--name {name!r}" if options.name else f"the scenario's name {name!r}"
         raise FtcmError(f"{what}: expected a plain name without folders; choose the place with --runs")
@@ -191,7 +207,7 @@ def run_experiment(options: argparse.Namespace) -> int:
     finally:
         domain.release()
     try:
-        failures += report(folder, runs, options)
+        failures += report(folder, runs, options, drawn)
     except FtcmError as error:
         failures.append(str(error))
     for failure in failures:

@@ -13,6 +13,7 @@ from ftcm_ros.analysis.background import background
 from ftcm_ros.analysis.replay import Proof, prove, summarised
 from ftcm_ros.analysis.timing import hop_times, percentiles, timing_table, write_figure
 from ftcm_ros.bags.reader import BagContents, read_bag
+from ftcm_ros.run.campaign_runs import GraphCampaign
 from ftcm_ros.run.graph_run import Run
 from ftcm_ros.run.progress import say
 
@@ -63,8 +64,10 @@ def replayed(contents: list[tuple[str, BagContents]]) -> tuple[list[tuple[str, P
     return proofs, unproved
 
 
-def report(folder: Path, runs: list[Run], options: argparse.Namespace) -> list[str]:
-    """Read the bags back and write table, figures and summary.
+def report(
+    folder: Path, runs: list[Run], options: argparse.Namespace, drawn: GraphCampaign | None = None
+) -> list[str]:
+    """Read the bags back and write table, figures and summary, and of a campaign its rows.
 
     Returns:
         Why bags cannot be read, or are not what they should be.
@@ -86,6 +89,8 @@ def report(folder: Path, runs: list[Run], options: argparse.Namespace) -> list[s
         "bags": {label: str(bag.path.relative_to(folder)) for label, bag in contents},
     }
     traces = [(label, bag.trace) for label, bag in contents]
+    if drawn:
+        drawn.write_rows(folder, traces, f"graph, {options.mode}")
     proofs, unproved = replayed(contents) if options.replay else ([], [])
     if proofs:
         extra["replay"] = {label: proof.to_mapping() for label, proof in proofs}

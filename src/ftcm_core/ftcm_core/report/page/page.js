@@ -21,6 +21,17 @@
   }
   const colourOf = run => colours["run-" + (run % COLOURS)];
   const dashOf = run => DASHES[(run + Math.floor(run / COLOURS)) % DASHES.length];
+  const kindOf = run => (run + Math.floor(run / COLOURS)) % 3;
+
+  // A disc, a square or a triangle.
+  function shape(context, run, x, y, size = 4) {
+    const kind = kindOf(run);
+    context.beginPath();
+    if (kind === 0) context.arc(x, y, size, 0, 7);
+    else if (kind === 1) context.rect(x - 0.88 * size, y - 0.88 * size, 1.76 * size, 1.76 * size);
+    else { context.moveTo(x, y - 1.25 * size); context.lineTo(x + 1.25 * size, y + size); context.lineTo(x - 1.25 * size, y + size); context.closePath(); }
+    context.fill();
+  }
 
   function decode(text, Type) {
     const bytes = Uint8Array.from(atob(text), c => c.charCodeAt(0));
@@ -405,13 +416,18 @@
 
   // Quantiles of each law: least, 5 %, quarter, median, three quarters, 95 %, largest.
   class Boxes extends Chart {
-    get height() { return MARGIN.top + MARGIN.bottom + 26 * Math.max(1, this.shown.length); }
+    get height() { return MARGIN.top + MARGIN.bottom + 36 * Math.max(1, this.shown.length); }
     draw() {
       const context = this.prepare();
       if (!context) return;
       this.axisX(context);
       this.inside(context, () => this.shown.forEach((curve, k) => {
-        const middle = this.area.y + 26 * k + 13;
+        const middle = this.area.y + 36 * k + 24;
+        context.fillStyle = colours.ink;
+        context.textAlign = "left"; context.textBaseline = "top";
+        const missing = curve.of - curve.count;
+        context.fillText(curve.name + (missing ? `: ${missing} of ${curve.of} not on the axis` : ""), this.area.x + 5, this.area.y + 36 * k + 2, this.area.w - 10);
+        if (!curve.box) return;
         const [least, low, quarter, median, three, high, most] = curve.box.map(x => Math.max(-1e5, Math.min(1e5, this.px(x))));
         context.strokeStyle = context.fillStyle = colourOf(curve.run);
         context.lineWidth = 1.4;
@@ -428,7 +444,7 @@
     }
     tell() {
       this.said.textContent = "";
-      for (const curve of this.shown) {
+      for (const curve of this.shown) if (curve.box) {
         const value = make("b", this.said, {}, ` ${curve.name}: ${short(curve.box[3], 3)} [${short(curve.box[1], 3)}, ${short(curve.box[5], 3)}]`);
         value.style.color = colourOf(curve.run);
       }
@@ -453,17 +469,137 @@
       });
       this.inside(context, () => {
         for (const curve of this.shown) curve.x.forEach((value, i) => {
-          const cx = this.px(value), cy = y + 17 * curve.row[i] + 8.5, kind = curve.run % 3;
           context.fillStyle = colourOf(curve.run);
-          context.beginPath();
-          if (kind === 0) context.arc(cx, cy, 4, 0, 7);
-          else if (kind === 1) context.rect(cx - 3.5, cy - 3.5, 7, 7);
-          else { context.moveTo(cx, cy - 5); context.lineTo(cx + 5, cy + 4); context.lineTo(cx - 5, cy + 4); }
-          context.fill();
+          shape(context, curve.run, this.px(value), y + 17 * curve.row[i] + 8.5);
         });
       });
     }
     tell(x) { this.said.textContent = short(x, 3); }
+  }
+
+  // Two values of each run: dots, medians with bars, and the Pareto front of the medians.
+  class Scatter extends Chart {
+    get height() { return 300; }
+    limits() { return this.options.range; }
+    draw() {
+      const context = this.prepare();
+      if (!context) return;
+      this.axisX(context);
+      this.axisY(context, ...this.limits());
+      const { x, y, w, h } = this.area;
+      const marked = this.shown.filter(c => c.middle.every(Number.isFinite));
+      this.inside(context, () => {
+        for (const curve of this.shown) {
+          context.fillStyle = colourOf(curve.run);
+          context.globalAlpha = 0.3;
+          curve.x.forEach((value, i) => { context.beginPath(); context.arc(this.px(value), this.py(curve.y[i]), 1.6, 0, 7); context.fill(); });
+          context.globalAlpha = 1;
+        }
+        const front = marked.filter(c => c.front).sort((p, q) => p.middle[0] - q.middle[0]);
+        context.strokeStyle = colours.soft;
+        context.lineWidth = 1.2;
+        context.beginPath();
+        front.forEach((c, k) => {
+          const at = this.px(c.middle[0]);
+          context[k ? "lineTo" : "moveTo"](at, k ? this.py(front[k - 1].middle[1]) : y);
+          context.lineTo(at, this.py(c.middle[1]));
+          if (k === front.length - 1) context.lineTo(x + w, this.py(c.middle[1]));
+        });
+        context.stroke();
+        for (const curve of marked) {
+          const [cx, cy] = [this.px(curve.middle[0]), this.py(curve.middle[1])];
+          const [[left, , right], [low, , high]] = curve.spread;
+          context.strokeStyle = context.fillStyle = colourOf(curve.run);
+          context.lineWidth = 1.4;
+          context.beginPath();
+          context.moveTo(this.px(left), cy); context.lineTo(right == null ? cx : this.px(right), cy);
+          context.moveTo(cx, this.py(low)); context.lineTo(cx, high == null ? cy : this.py(high));
+          context.stroke();
+          context.setLineDash([1.5, 3]); // beyond the edge
+          context.beginPath();
+          if (right == null) { context.moveTo(cx, cy); context.lineTo(x + w, cy); }
+          if (high == null) { context.moveTo(cx, cy); context.lineTo(cx, y); }
+          context.stroke();
+          context.setLineDash([]);
+          shape(context, curve.run, cx, cy, 5);
+          if (!curve.front) continue;
+          context.strokeStyle = colours.ink;
+          context.beginPath(); context.arc(cx, cy, 9, 0, 7); context.stroke();
+        }
+        this.names(context, marked);
+      });
+      context.fillStyle = colours.soft;
+      context.textAlign = "left"; context.textBaseline = "top";
+      context.fillText("mean |e|, rad", x + 5, y + 4);
+      context.textAlign = "right"; context.textBaseline = "bottom";
+      context.fillText("torque variation, N·m/s", x + w - 5, y + h - 4);
+    }
+
+    // The names beside the marks, where there is place for them.
+    names(context, marked) {
+      const { x, y, w, h } = this.area;
+      const taken = marked.map(c => { const [cx, cy] = [this.px(c.middle[0]), this.py(c.middle[1])]; return [cx - 7, cy - 7, cx + 7, cy + 7]; });
+      taken.push([x, y, x + 80, y + 17], [x + w - 135, y + h - 17, x + w, y + h]);
+      context.textAlign = "left"; context.textBaseline = "middle";
+      for (const curve of marked) {
+        const [cx, cy] = [this.px(curve.middle[0]), this.py(curve.middle[1])], width = context.measureText(curve.name).width;
+        const places = [];
+        for (const away of [0, -14, 14, -28, 28, -42, 42]) places.push([cx + 12, cy + away], [cx - 12 - width, cy + away]);
+        const free = ([a, b]) => a >= x && a + width <= x + w && b - 6 >= y && b + 6 <= y + h
+          && !taken.some(t => a < t[2] && a + width > t[0] && b - 6 < t[3] && b + 6 > t[1]);
+        const [a, b] = places.find(free) || [Math.max(x + 2, Math.min(cx + 12, x + w - width - 2)), cy - 14];
+        taken.push([a, b - 6, a + width, b + 6]);
+        context.lineWidth = 3; context.strokeStyle = colours.paper; context.strokeText(curve.name, a, b);
+        context.fillStyle = colours.ink;
+        context.fillText(curve.name, a, b);
+      }
+    }
+    tell() {
+      this.said.textContent = "";
+      for (const curve of this.shown) {
+        const value = make("b", this.said, {}, ` ${curve.name}: ${short(curve.middle[1], 3)} at ${short(curve.middle[0], 3)}`);
+        value.style.color = colourOf(curve.run);
+      }
+    }
+  }
+
+  // A value with its interval, from -1 to 1, of each law.
+  class Intervals extends Chart {
+    get height() { return MARGIN.top + MARGIN.bottom + 16 * Math.max(1, this.shown.length); }
+    draw() {
+      this.options.left = 8;
+      const context = this.prepare();
+      if (!context) return;
+      this.axisX(context);
+      const { x, y, w, h } = this.area, zero = this.px(0);
+      this.inside(context, () => {
+        context.strokeStyle = colours.onset;
+        context.beginPath(); context.moveTo(zero, y); context.lineTo(zero, y + h); context.stroke();
+        context.textBaseline = "middle";
+        this.shown.forEach((curve, k) => {
+          const cy = y + 16 * k + 8, [value, low, high] = curve.values || [0, 0, 0];
+          const text = curve.values ? curve.name : curve.name + ": the same in every run";
+          const [a, b] = [this.px(low), this.px(high)], width = context.measureText(text).width;
+          if (curve.values) {
+            context.strokeStyle = context.fillStyle = colourOf(curve.run);
+            context.lineWidth = 2;
+            context.beginPath(); context.moveTo(a, cy); context.lineTo(b, cy); context.stroke();
+            shape(context, curve.run, this.px(value), cy);
+          }
+          const right = b + 9 + width < x + w;
+          context.textAlign = right ? "left" : "right";
+          context.fillStyle = colours.ink;
+          context.fillText(text, right ? b + 9 : a - 9, cy);
+        });
+      });
+    }
+    tell() {
+      this.said.textContent = "";
+      for (const curve of this.shown) if (curve.values) {
+        const [value, low, high] = curve.values.map(x => short(x, 2));
+        make("b", this.said, {}, ` ${curve.name}: ${value} [${low}, ${high}]`).style.color = colourOf(curve.run);
+      }
+    }
   }
 
   // ---- controls ----
@@ -476,7 +612,7 @@
 
   function swatch(run) {
     if (data.suite) {
-      const mark = make("span", null, { class: "mark" }, "●■▲"[run % 3]);
+      const mark = make("span", null, { class: "mark" }, "●■▲"[kindOf(run)]);
       mark.style.color = `var(--run-${run % COLOURS})`;
       return mark;
     }
@@ -617,35 +753,74 @@
     const campaign = data.campaign;
     const bar = make("div", place, { class: "bar" });
     runButtons(bar, data.runs.map(run => run.label));
+    const groups = campaign.groups.filter(group => group.columns.length);
+    let group = groups[0];
+    if (groups.length > 1) oneOf(bar, "scenario", groups.map(one => one.name), 0, k => { group = groups[k]; offer(); });
     const choice = make("select", make("label", make("div", bar)), { "aria-label": "metric" });
-    campaign.columns.forEach((column, k) => make("option", choice, { value: k }, column.name));
     make("p", place, { class: "note" }, campaign.note);
     const grid = make("div", place, { class: "panels" });
+    const own = [];
+    const offer = () => {
+      const before = choice.selectedIndex > 0 ? choice.selectedOptions[0].textContent : "";
+      choice.textContent = "";
+      group.columns.forEach((column, k) => { make("option", choice, { value: k }, column.name).selected = column.name === before; });
+      build();
+    };
     const build = () => {
-      charts.length = 0;
+      for (const chart of own.splice(0)) charts.splice(charts.indexOf(chart), 1);
       grid.textContent = "";
-      const column = campaign.columns[choice.value];
+      const column = group.columns[choice.value];
       column.joints.forEach((laws, j) => {
         const curves = laws.map(law => {
           const x = decode(law.sample, Float32Array);
-          const y = Float64Array.from(x, (_, i) => x.length > 1 ? (i * (law.count - 1) / (x.length - 1) + 1) / law.count : 1);
-          return { run: law.run, x, y, box: law.box, stepped: true, name: data.runs[law.run].label };
-        }).filter(c => c.x.length);
-        const cell = make("div", grid);
-        if (!curves.length) { make("p", cell, { class: "note" }, `joint ${j + 1}: no value`); return; }
-        const least = Math.min(...curves.map(c => c.box[0])), most = Math.max(...curves.map(c => c.box[6]));
+          const y = Float64Array.from(x, (_, i) => (x.length > 1 ? i * (law.count - 1) / (x.length - 1) + 1 : 1) / law.of);
+          return { ...law, x, y, stepped: true, name: data.runs[law.run].label };
+        });
+        const cell = make("div", grid), boxes = curves.filter(c => c.box).map(c => c.box);
+        if (!boxes.length) { make("p", cell, { class: "note" }, `joint ${j + 1}: no value`); return; }
+        const least = Math.min(...boxes.map(box => box[0])), most = Math.max(...boxes.map(box => box[6]));
         const logX = least > 0 && most / least > 30;
         const ends = [least, most].map(x => logX ? Math.log10(x) : x), pad = 0.04 * (ends[1] - ends[0]) || Math.abs(ends[0]) * 0.05 || 1;
         const view = new View(ends[0] - pad, ends[1] + pad);
         const title = column.joints.length > 1 || column.perJoint ? "joint " + (j + 1) : "";
         const options = { logX, nameX: column.unit, label: column.name };
-        new Boxes(cell, view, title, curves, options);
-        new Chart(cell, view, "share of runs at or below", curves, { ...options, range: [0, 1.02], height: 190 });
+        own.push(new Boxes(cell, view, title, curves, options));
+        own.push(new Chart(cell, view, "share of runs at or below", curves, { ...options, range: [0, 1.02], height: 190 }));
       });
-      charts.forEach(chart => chart.draw());
+      own.forEach(chart => chart.draw());
     };
     choice.addEventListener("change", build);
-    build();
+    offer();
+  }
+
+  // Panels of each scenario of a campaign, below its name.
+  function perScenario(place, panels, show) {
+    for (const group of data.campaign.groups) if (group[panels].length) {
+      if (group.name) make("h3", place, {}, group.name);
+      const grid = make("div", place, { class: "panels" });
+      for (const panel of group[panels]) show(grid, panel);
+    }
+  }
+
+  function showTradeoff(grid, panel) {
+    const curves = panel.laws.map(law => ({
+      ...law, name: data.runs[law.run].label, x: decode(law.x, Float32Array), y: decode(law.y, Float32Array),
+      middle: law.spread.map(three => three[1] == null ? NaN : three[1]),
+    }));
+    const ends = [0, 1].map(axis => {
+      const values = curves.flatMap(c => [...(axis ? c.y : c.x), ...c.spread[axis]]).filter(v => v != null);
+      const log = values.length > 0 && Math.min(...values) > 0;
+      const [lo, hi] = [Math.min(...values), Math.max(...values)].map(v => log ? Math.log10(v) : v);
+      const pad = 0.06 * (hi - lo) || Math.abs(lo) * 0.05 || 1;
+      return { log, range: [lo - pad, hi + pad] };
+    });
+    const view = new View(...ends[0].range);
+    new Scatter(grid, view, panel.title, curves, { logX: ends[0].log, log: ends[1].log, range: ends[1].range, label: "error against torque variation," });
+  }
+
+  function showSensitivity(grid, panel) {
+    const curves = panel.marks.map(mark => ({ ...mark, name: data.runs[mark.run].label }));
+    new Intervals(grid, new View(-1.05, 1.05), panel.title, curves, { label: "rank correlation of the error with" });
   }
 
   function showSuite(place) {
@@ -670,6 +845,8 @@
   if (at("plots-here") && data.quantities) showRuns(at("plots-here"));
   if (at("timing-here") && data.timing) showCurves(at("timing-here"), data.timing);
   if (at("campaign-here") && data.campaign) showCampaign(at("campaign-here"));
+  if (at("tradeoff-here")) perScenario(at("tradeoff-here"), "tradeoff", showTradeoff);
+  if (at("sensitivity-here")) perScenario(at("sensitivity-here"), "sensitivity", showSensitivity);
   if (at("suite-here") && data.suite) showSuite(at("suite-here"));
   redraw();
   let width = root.clientWidth;
