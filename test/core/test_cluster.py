@@ -23,29 +23,38 @@ ROOT = Path(__file__).resolve().parents[2]
 PLUGIN = ROOT / "docs" / "template" / "my_lab" / "pd_plus.py"
 
 
-@pytest.fixture(scope="module")
-def address(tmp_path_factory):
-    """A scheduler and two processes, started as on a cluster."""
+@contextlib.contextmanager
+def dask(folder, count):
+    """Start a scheduler and processes as on a cluster; give the former's process and address."""
     pytest.importorskip("distributed", reason="distributed is not installed")
-    folder = tmp_path_factory.mktemp("dask")
     where = folder / "scheduler.json"
     path = os.pathsep.join([str(ROOT / "src" / "ftcm_core"), os.environ.get("PYTHONPATH", "")])
     shared = ["--scheduler-file", str(where), "--no-dashboard", "--host", "127.0.0.1"]
-    workers = ["--nworkers", "2", "--nthreads", "1", "--local-directory", str(folder)]
+    workers = ["--nworkers", str(count), "--nthreads", "1", "--local-directory", str(folder)]
     with contextlib.ExitStack() as stack:
+        started = []
         for more in (["scheduler", "--port", "0"], ["worker", *workers]):
             process = subprocess.Popen(
                 [sys.executable, "-m", "dask", *more, *shared],
                 env={**os.environ, "PYTHONPATH": path}, cwd=folder,
                 stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL,
             )  # fmt: skip
+            started.append(process)
             stack.callback(process.wait, 20)
             stack.callback(process.terminate)
         from distributed import Client
 
         with Client(scheduler_file=str(where), timeout=30, set_as_default=False) as client:
-            client.wait_for_workers(2, timeout=60)
-            yield client.scheduler.address
+            client.wait_for_workers(count, timeout=60)
+            address = client.scheduler.address
+        yield started[0], address
+
+
+@pytest.fixture(scope="module")
+def address(tmp_path_factory):
+    """The address of a scheduler with two processes."""
+    with dask(tmp_path_factory.mktemp("dask"), 2) as (_, address):
+        yield address
 
 
 def planned(runs=30):
@@ -174,6 +183,15 @@ def test_what_kills_every_process_is_given_up(address):
     with Cluster(address) as engine, pytest.raises(BrokenProcessPool):
         list(engine.each(signal.raise_signal, [signal.SIGKILL]))
     assert len(processes(address)) == 2
+
+
+@pytest.mark.nightly
+def test_a_scheduler_that_is_gone_ends_the_campaign_with_one_line(tmp_path):
+    gone = pytest.raises(FtcmError, match=r"the scheduler is gone.*--resume")
+    with dask(tmp_path, 1) as (scheduler, address), Cluster(address) as processes, gone:
+        campaign.run_campaign(
+            planned(), engine="plain", jobs=processes, progress=lambda done, _: done and scheduler.kill()
+        )
 
 
 @pytest.mark.nightly

@@ -11,6 +11,7 @@ from __future__ import annotations
 
 import functools
 import hashlib
+import logging
 import pickle
 import platform
 import threading
@@ -48,6 +49,8 @@ class Cluster:
         need("distributed", "cluster", "a cluster")
         from distributed import Client
 
+        for name in ("client", "utils", "core"):  # they log tracebacks of what is told here in one line
+            logging.getLogger(f"distributed.{name}").setLevel(logging.CRITICAL)
         self.address = address
         try:
             self._client = Client(address, timeout=WAIT, set_as_default=False)

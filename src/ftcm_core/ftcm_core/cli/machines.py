@@ -37,5 +37,7 @@ def chosen_machines(arguments: argparse.Namespace) -> Iterator[int | Processes |
     if arguments.jobs is not None:
         raise FtcmError("--jobs: is of this machine, and --cluster is given too; give one of them")
     with Cluster(arguments.cluster) as cluster:
-        note(f"cluster {arguments.cluster}: {cluster.count or 'no'} processes; more may join at any time")
+        count = cluster.count
+        some = f"{count or 'no'} process{'' if count == 1 else 'es'}"
+        note(f"cluster {arguments.cluster}: {some}; more may join at any time")
         yield cluster
