@@ -37,6 +37,7 @@ setup(
         "statistics": ["scipy>=1.11"],
         "parquet": ["pyarrow>=14"],
         "tune": ["optuna>=5.0", "scipy>=1.11"],
+        "cluster": ["distributed>=2024.4"],
         "arms": ["example-robot-data>=4.4"],
     },
     entry_points={"console_scripts": ["ftcm = ftcm_core.cli:main"]},

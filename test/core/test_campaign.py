@@ -3,6 +3,7 @@
 
 import io
 import json
+import multiprocessing
 import statistics
 import sys
 import time
@@ -21,6 +22,7 @@ from ftcm_core.simulation import simulate
 
 SHORT = ("duration=0.05", "transient=0.01", "injection.faults.0.start=0.02")
 K1 = parse_variation("observer.k1=uniform(10000, 20000)")
+NEGATIVE = parse_variation("observer.k1=uniform(-2, -1)")
 SEVERITY = parse_variation("injection.faults.0.severity=normal(1, 0.1)")
 
 
@@ -74,6 +76,13 @@ def test_a_run_is_reproduced_by_the_settings_it_reports(tmp_path):
 def test_results_do_not_depend_on_the_number_of_processes():
     one, two = (campaign.run_campaign(planned(), engine="plain", jobs=jobs) for jobs in (1, 2))
     assert one == two
+
+
+def test_processes_that_have_started_end_with_a_mistake():
+    """They start while the draws are still being checked."""
+    with pytest.raises(FtcmError, match="is out of range"):
+        campaign.run_campaign(planned(variations=(NEGATIVE,)), engine="plain", jobs=2)
+    assert not multiprocessing.active_children()
 
 
 @pytest.mark.slow

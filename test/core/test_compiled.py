@@ -285,8 +285,8 @@ class TestNumba:
             state = [x * choose.uniform(-3.0, 3.0) for x in numbers]
             program.put_state(loop, program.with_numbers(start, iter(state)))
             moved, reached = np.array(state), np.zeros(1, dtype=np.int64)
-            rows = np.zeros((40_001, 24))
-            at = compiled_tick.ticks(parameters, moved, k, k + 1, scenario.dt_ns, rows, reached)
+            columns = np.zeros((8, 40_001, 3))
+            at = compiled_tick.ticks(parameters, moved, k, k + 1, scenario.dt_ns, columns, reached)
             plain = []
             reason = loop.tick(k * scenario.dt_ns, False, plain.append)
             assert reached[0] == k
@@ -295,7 +295,7 @@ class TestNumba:
                 loop.plant.reason = ""
                 diverged += 1
             else:
-                np.testing.assert_allclose(rows[k], plain[0], rtol=1e-12, atol=1e-12)
+                np.testing.assert_allclose(columns[:, k].ravel(), plain[0], rtol=1e-12, atol=1e-12)
                 np.testing.assert_allclose(moved, state_numbers(loop), rtol=1e-12, atol=1e-12)
         assert diverged < 100
 
@@ -446,6 +446,7 @@ class TestNumba:
                 # An average over chattering amplifies the last bit.
                 near = [None if x is None else pytest.approx(x, rel=1e-4, abs=1e-9) for x in values]
                 assert found[window][metric] == near, (window, metric)
+        assert found == evaluate(dataclasses.replace(trace, column_sums=None)), "sums by numpy: every bit"
 
     def test_a_second_process_finds_the_code_compiled(self):
         _, loop = started()

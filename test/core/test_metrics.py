@@ -188,6 +188,23 @@ def test_evaluate_has_every_metric_of_every_window() -> None:
     assert (short["after_transient"], short["before_fault"], short["after_fault"]) == (None, None, None)
 
 
+@pytest.mark.parametrize("ticks", [2, 127, 128, 129, 1000])
+def test_the_largest_is_found_wherever_it_is(ticks: int) -> None:
+    """Also where rows are looked at side by side; a missing value is none."""
+    errors = np.random.default_rng(ticks).normal(size=(ticks, 3))
+    for row in {0, ticks // 2, ticks - 1}:
+        there = errors.copy()
+        there[row, 1] = -9.0
+        expected = [max(map(abs, there[:, joint].tolist())) for joint in range(3)]
+        assert value("max_abs_error", made_up(ticks, position=there)) == expected
+        there[row, 2] = np.nan
+        assert np.isnan(value("max_abs_error", made_up(ticks, position=there))).tolist() == [
+            False,
+            False,
+            True,
+        ]
+
+
 def test_metrics_are_pure() -> None:
     """They leave the trace as it is."""
     trace = simulate(load("paper", ["duration=0.2"]))

@@ -54,7 +54,7 @@ def test_core_imports_nothing_of_ros(root):
 
 
 def test_core_works_without_its_extras(root):
-    extras = {"matplotlib", "numba", "scipy", "pyarrow", "optuna"}
+    extras = {"matplotlib", "numba", "scipy", "pyarrow", "optuna", "distributed"}
     done = import_all(root, "ftcm_core", extras, messages=False)
     assert done.returncode == 0, done.stderr
 

@@ -36,7 +36,7 @@ class WrittenTick:
         self.state = list(program.numbers(program.state_of(loop)))
         self.reached = [0]
         self._ticks, self._dt_ns, self._joints = names["ticks"], loop.plant.dt_ns, loop.observer.model.joints
-        self._written: dict[tuple[int, int], float] = {}
+        self._written: dict[tuple[int, int, int], float] = {}
 
     def run(self, first: int, last: int) -> int:
         """Run ticks ``first`` to before ``last``; return the first one not run."""
@@ -50,9 +50,10 @@ class WrittenTick:
     @property
     def rows(self) -> list[list[float]]:
         """What it recorded, tick by tick."""
-        ticks = sorted({k for k, _ in self._written})
-        width = 1 + max((i for _, i in self._written), default=-1)
-        return [[float(self._written[k, i]) for i in range(width)] for k in ticks]
+        found: dict[int, list[float]] = {}
+        for (_, k, _), value in sorted(self._written.items()):
+            found.setdefault(k, []).append(float(value))
+        return [found[k] for k in sorted(found)]
 
 
 def state_numbers(loop: Loop) -> list[float]:

@@ -11,7 +11,7 @@ import threading
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import Future, ProcessPoolExecutor
 from queue import SimpleQueue
-from typing import TypeVar
+from typing import Protocol, TypeVar
 
 from ftcm_core.registry import load_plugins, plugins
 
@@ -19,18 +19,48 @@ T = TypeVar("T")
 R = TypeVar("R")
 
 
+class Processes(Protocol):
+    """Who does work: those of this machine, :class:`Workers`, or those of a cluster."""
+
+    @property
+    def count(self) -> int:
+        """How many processes there are now."""
+
+    def begin(self, function: Callable[[T], R], item: T) -> None:
+        """Get ready for work that comes soon: let processes start, and run a function in each."""
+
+    def each(self, function: Callable[[T], R], items: Sequence[T]) -> Iterator[tuple[int, R]]:
+        """Run a function on items; yield as :func:`run_parallel`, whose arguments these are."""
+
+
+@contextlib.contextmanager
+def processes_of(jobs: int | Processes | None, most: int | None = None) -> Iterator[Processes]:
+    """Give who does the work.
+
+    Args:
+        jobs: number of processes; the number of cores by default. Or processes that are there, and stay.
+        most: more processes than that would have nothing to do.
+    """
+    if jobs is not None and not isinstance(jobs, int):
+        yield jobs
+        return
+    count = jobs or os.cpu_count() or 1
+    with Workers(count if most is None else min(most, count)) as workers:
+        yield workers
+
+
 def run_parallel(
-    function: Callable[[T], R], items: Sequence[T], jobs: int | None = None
+    function: Callable[[T], R], items: Sequence[T], jobs: int | Processes | None = None
 ) -> Iterator[tuple[int, R]]:
     """Run a function on items over several processes; yield (index of the item, result) as they finish.
 
     Args:
         function: picklable.
         items: picklable.
-        jobs: number of processes; the number of cores by default. With one, no process is started.
+        jobs: as of :func:`processes_of`. With one process, none is started.
     """
-    with Workers(min(len(items), jobs or os.cpu_count() or 1)) as workers:
-        yield from workers.each(function, items)
+    with processes_of(jobs, len(items)) as processes:
+        yield from processes.each(function, items)
 
 
 class Workers:
@@ -41,7 +71,7 @@ class Workers:
     """
 
     def __init__(self, count: int) -> None:
-        self._count = count
+        self.count = count
         self._pool: ProcessPoolExecutor | None = None
 
     def __enter__(self) -> Workers:
@@ -56,32 +86,38 @@ class Workers:
         # Waiting, as Python's own end of a pool that is still ending now and then complains about that.
         self._pool.shutdown(cancel_futures=True)
 
+    def begin(self, function: Callable[[T], R], item: T) -> None:
+        """Start the processes and let each run a function, while this process goes on."""
+        if self.count > 1:
+            self._submit(function, [item] * self.count)
+
     def each(self, function: Callable[[T], R], items: Sequence[T]) -> Iterator[tuple[int, R]]:
         """Run a function on items; yield as :func:`run_parallel`, whose arguments these are."""
-        if self._count < 2:
+        if self.count < 2:
             for index, item in enumerate(items):
                 yield index, function(item)
             return
         # Unlike as_completed(), it holds no lock of an unfinished future that an interrupt would leave
         # locked, for the pool to wait for without end.
         done: SimpleQueue[Future[R]] = SimpleQueue()
-        with _children_ignore_interrupts():  # it starts a process of its own, which watches its semaphores
-            if self._pool is None:
-                self._pool = ProcessPoolExecutor(
-                    self._count,
-                    mp_context=multiprocessing.get_context("spawn"),
-                    initializer=_begin,
-                    initargs=(plugins(),),
-                )
-            futures: dict[Future[R], int] = {
-                self._pool.submit(function, item): index for index, item in enumerate(items)
-            }
-            for future in futures:
-                future.add_done_callback(done.put)
+        futures = {future: index for index, future in enumerate(self._submit(function, items))}
+        for future in futures:
+            future.add_done_callback(done.put)
         for _ in items:
             future = done.get()
             index = futures.pop(future)  # so that a finished result is not held twice
             yield index, future.result()
+
+    def _submit(self, function: Callable[[T], R], items: Sequence[T]) -> list[Future[R]]:
+        with _children_ignore_interrupts():  # it starts a process of its own, which watches its semaphores
+            if self._pool is None:
+                self._pool = ProcessPoolExecutor(
+                    self.count,
+                    mp_context=multiprocessing.get_context("spawn"),
+                    initializer=_begin,
+                    initargs=(plugins(),),
+                )
+            return [self._pool.submit(function, item) for item in items]
 
 
 def _begin(sources: tuple[str, ...]) -> None:

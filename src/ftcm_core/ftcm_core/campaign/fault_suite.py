@@ -13,7 +13,7 @@ import numpy as np
 from ftcm_core.errors import FtcmError, ScenarioError, suggestion
 from ftcm_core.faults import TOPICS, CommunicationFault, Fault, JointFault
 from ftcm_core.faults.tip_force import TipFault
-from ftcm_core.parallel import run_parallel
+from ftcm_core.parallel import Processes, run_parallel
 from ftcm_core.params import specs
 from ftcm_core.recording.detection import detection_scores
 from ftcm_core.recording.metrics import result
@@ -113,13 +113,13 @@ def faults_of(suite: Suite, base: Scenario) -> list[tuple[str, int, Fault]]:
 
 
 def run_suite(
-    suite: Suite, jobs: int | None = None, progress: Callable[[int, int], None] | None = None
+    suite: Suite, jobs: int | Processes | None = None, progress: Callable[[int, int], None] | None = None
 ) -> list[dict[str, Any]]:
     """Run a suite over several processes.
 
     Args:
         suite: what to run.
-        jobs: number of processes; the number of cores by default.
+        jobs: as of a campaign.
         progress: called with the runs done and how many there are.
 
     Returns:

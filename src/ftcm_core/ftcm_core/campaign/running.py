@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 import contextlib
+import importlib
 import json
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
@@ -16,7 +17,7 @@ from ftcm_core.campaign.parquet import write_parquet
 from ftcm_core.campaign.plan import Campaign, Run
 from ftcm_core.campaign.statistics import Statistics, summary_of, table
 from ftcm_core.extras import has
-from ftcm_core.parallel import run_parallel
+from ftcm_core.parallel import Processes, processes_of
 from ftcm_core.recording.detection import detection_scores
 from ftcm_core.recording.metrics import METRICS, evaluate
 from ftcm_core.recording.provenance import provenance
@@ -57,6 +58,13 @@ class _Work:
 
 def _do(work: _Work) -> list[dict[str, Any]]:
     return work()
+
+
+def _get_ready(engine: str) -> None:
+    """Import what the runs need, while they are still being checked."""
+    if engine != "plain":
+        compiled.require_numba()
+        importlib.import_module("numba")
 
 
 def simulated(scenario: Scenario, engine: str) -> tuple[Trace, str]:
@@ -119,7 +127,7 @@ def run_campaign(
     campaign: Campaign,
     *,
     engine: str = "auto",
-    jobs: int | None = None,
+    jobs: int | Processes | None = None,
     folder: Path | None = None,
     resume: bool = False,
     progress: Callable[[int, int], None] | None = None,
@@ -130,7 +138,7 @@ def run_campaign(
     Args:
         campaign: what to run; all its scenarios are checked before the first run.
         engine: one of :data:`ENGINES`.
-        jobs: number of processes; the number of cores by default.
+        jobs: number of processes; the number of cores by default. Or those of a cluster.
         folder: where ``runs.jsonl``, ``summary.json``, ``table.md`` and, with pyarrow, ``runs.parquet`` go.
         resume: whether the folder has a beginning of the same campaign, of which only the rest is run.
         progress: called with the runs done and their number, first before the first run.
@@ -145,10 +153,14 @@ def run_campaign(
     """
     engine = chosen_engine(engine)
     runs = campaign.run_list()
-    for run in runs:
-        campaign.scenario(run)
+    campaign.mapping()  # loads the plug-ins that it names
     about = {**provenance(), "engine": engine}
     with contextlib.ExitStack() as stack:
+        workers = stack.enter_context(processes_of(jobs, len(runs)))
+        if not resume:
+            workers.begin(_get_ready, engine)
+        for run in runs:
+            campaign.scenario(run)
         lines = None
         if folder:
             identity = {
@@ -174,7 +186,7 @@ def run_campaign(
             _prepare(campaign, runs, engine, note)
         if progress:
             progress(following, len(runs))
-        for result in _results(campaign, runs, following, engine, jobs, progress):
+        for result in _results(campaign, runs, following, engine, workers, progress):
             found.setdefault(result["contender"], Statistics()).add(result)
             if lines:
                 lines.write((to_json(result) + "\n").encode())
@@ -212,15 +224,15 @@ def _results(
     runs: list[Run],
     first: int,
     engine: str,
-    jobs: int | None,
+    workers: Processes,
     progress: Callable[[int, int], None] | None,
 ) -> Iterator[dict[str, Any]]:
     """Run the runs from ``first`` on; yield their results in order, so that files do not depend on luck."""
-    chunk = max(1, min(_CHUNK, len(runs) // (4 * (jobs or 1))))
+    chunk = max(1, min(_CHUNK, len(runs) // (4 * max(1, workers.count))))
     work = [_Work(campaign, tuple(runs[i : i + chunk]), engine) for i in range(first, len(runs), chunk)]
     waiting: dict[int, list[dict[str, Any]]] = {}
     done, following = first, 0
-    for index, results in run_parallel(_do, work, jobs):
+    for index, results in workers.each(_do, work):
         waiting[index] = results
         done += len(results)
         if progress:

@@ -37,6 +37,7 @@ EXTRAS = {
     "scipy": ("scipy", "tests of a campaign's comparisons, and even sampling, need it", "statistics"),
     "pyarrow": ("pyarrow", "a campaign's runs as Parquet need it", "parquet"),
     "optuna": ("optuna", "tuning needs it", "tune"),
+    "distributed": ("distributed", "runs on more machines (--cluster) need it", "cluster"),
     "pinocchio": ("pin", "only tests need it, for an independent model", ""),
     "pandas": ("pandas", "a run as a table of pandas needs it", "notebook"),
     "mujoco": ("mujoco", "the plant mujoco needs it", "mujoco"),

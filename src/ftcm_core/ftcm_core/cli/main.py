@@ -22,6 +22,7 @@ from ftcm_core.cli.completion import complete
 from ftcm_core.cli.detectable import detectable_command, detectable_options
 from ftcm_core.cli.doctor import doctor_command
 from ftcm_core.cli.listing import describe_command, list_command
+from ftcm_core.cli.machines import machine_options
 from ftcm_core.cli.output import drop_stdout, fail
 from ftcm_core.cli.replaying import replay_command, replay_options
 from ftcm_core.cli.runs import campaign_command, compare_command, reproduce_command, simulate_command
@@ -172,7 +173,7 @@ def _parser() -> argparse.ArgumentParser:
     sub.add_argument("--sampling", choices=campaign.SAMPLINGS, help="how draws are spread; default: random")
     for kind in ("controller", "observer", "detector"):
         sub.add_argument(f"--{kind}s", nargs="+", metavar="NAME", help="run every draw with each of these")
-    sub.add_argument("--jobs", type=int, metavar="N", help="number of processes; default: one per core")
+    machine_options(sub)
     sub.add_argument(
         "--engine", choices=campaign.ENGINES, default="auto",
         help="compiled needs numba; auto: compiled where that is installed",

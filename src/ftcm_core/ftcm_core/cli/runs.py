@@ -13,6 +13,7 @@ from typing import Any
 
 from ftcm_core import campaign, compiled
 from ftcm_core.cli.calibration import detector_overrides
+from ftcm_core.cli.machines import chosen_machines
 from ftcm_core.cli.output import note, progress
 from ftcm_core.errors import FtcmError, ScenarioError
 from ftcm_core.parallel import run_parallel
@@ -170,15 +171,13 @@ def campaign_command(arguments: argparse.Namespace) -> int:
         observers=tuple(arguments.observers or planned.observers),
         detectors=tuple(arguments.detectors or planned.detectors),
     )
-    if arguments.jobs is not None and arguments.jobs < 1:
-        raise FtcmError(f"--jobs {arguments.jobs}: expected at least 1")
     campaign.chosen_engine(arguments.engine)
-    folder = results_folder(arguments)
-    with progress("run") as show:
+    with chosen_machines(arguments) as jobs, progress("run") as show:
+        folder = results_folder(arguments)
         summary = campaign.run_campaign(
             planned,
             engine=arguments.engine,
-            jobs=arguments.jobs,
+            jobs=jobs,
             folder=folder,
             resume=arguments.resume,
             progress=show,

@@ -7,6 +7,7 @@ import argparse
 
 from ftcm_core.campaign import fault_suite
 from ftcm_core.cli.calibration import detector_overrides
+from ftcm_core.cli.machines import chosen_machines, machine_options
 from ftcm_core.cli.output import note, progress
 from ftcm_core.recording.provenance import provenance
 from ftcm_core.registry import components, find
@@ -32,9 +33,9 @@ def suite_command(arguments: argparse.Namespace) -> int:
         duration=arguments.duration,
         overrides=(*detector_overrides(arguments.detector_file), *arguments.overrides),
     )
-    folder = new_folder(arguments.output) if arguments.output is not None else None
-    with progress("run") as show:
-        rows = fault_suite.run_suite(suite, jobs=arguments.jobs, progress=show)
+    with chosen_machines(arguments) as jobs, progress("run") as show:
+        folder = new_folder(arguments.output) if arguments.output is not None else None
+        rows = fault_suite.run_suite(suite, jobs=jobs, progress=show)
     tables = (fault_suite.summary(rows), fault_suite.tables(rows))
     text = "\n".join(tables)
     origin = provenance()
@@ -79,6 +80,6 @@ def add_arguments(sub: argparse.ArgumentParser) -> None:
         help="change values in every run",
     )  # fmt: skip
     sub.add_argument("--detector-file", metavar="FILE", help="use the detector that calibrate wrote")
-    sub.add_argument("--jobs", type=int, metavar="N", help="number of processes; default: one per core")
+    machine_options(sub)
     sub.add_argument("--json", action="store_true", help="print one JSON object")
     sub.add_argument("--output", metavar="DIR", help="write rows, tables and report.html to a new folder")

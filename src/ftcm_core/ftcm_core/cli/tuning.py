@@ -8,9 +8,9 @@ import dataclasses
 from pathlib import Path
 
 from ftcm_core import campaign
+from ftcm_core.cli.machines import chosen_machines, machine_options
 from ftcm_core.cli.output import note, progress
 from ftcm_core.cli.runs import results_folder
-from ftcm_core.errors import FtcmError
 from ftcm_core.extras import need
 from ftcm_core.report.results import to_json
 from ftcm_core.tuning import run_tuning, table, tuning_from_file
@@ -22,18 +22,16 @@ def tune_command(arguments: argparse.Namespace) -> int:
     tuning = tuning_from_file(arguments.file)
     changes = {key: getattr(arguments, key) for key in ("trials", "seed")}
     tuning = dataclasses.replace(tuning, **{k: v for k, v in changes.items() if v is not None})
-    if arguments.jobs is not None and arguments.jobs < 1:
-        raise FtcmError(f"--jobs {arguments.jobs}: expected at least 1")
     campaign.chosen_engine(arguments.engine)
-    folder = results_folder(arguments)
-    assert folder is not None
-    with progress("trial") as show:
+    with chosen_machines(arguments) as jobs, progress("trial") as show:
+        folder = results_folder(arguments)
+        assert folder is not None
         summary = run_tuning(
             tuning,
             folder,
             name=Path(arguments.file).name,
             engine=arguments.engine,
-            jobs=arguments.jobs,
+            jobs=jobs,
             resume=arguments.resume,
             progress=show,
             note=note,
@@ -51,7 +49,7 @@ def tune_options(sub: argparse.ArgumentParser) -> None:
     )
     sub.add_argument("--trials", type=int, metavar="N", help="number of trials; default: the file's")
     sub.add_argument("--seed", type=int, metavar="N", help="seed of the search; default: the file's")
-    sub.add_argument("--jobs", type=int, metavar="N", help="number of processes; default: one per core")
+    machine_options(sub)
     sub.add_argument(
         "--engine", choices=campaign.ENGINES, default="auto",
         help="compiled needs numba; auto: compiled where that is installed",

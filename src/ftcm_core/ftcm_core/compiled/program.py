@@ -56,10 +56,12 @@ class Program:
     slots: dict[Steps, str]
     fixed: dict[Steps, Any]
     ticks: Callable[..., int]
-    """``ticks(parameters, state, k, last, dt_ns, rows, reached) -> k``: runs ticks until ``last`` or one that
-    it cannot; ``reached[0]`` is the tick under way, also when it raises."""
+    """``ticks(parameters, state, k, last, dt_ns, columns, reached) -> k``: runs ticks until ``last`` or one
+    that it cannot; ``reached[0]`` is the tick under way, also when it raises."""
     accelerations: Callable[..., int]
     """``accelerations(parameters, positions, torques, out) -> n``: M(q)^-1 tau of the model, row by row."""
+    sums: Callable[..., int]
+    """``sums(values, out) -> n``: of at least one row of one value per joint, the sums, row after row."""
 
     def parameters(self, loop: Loop) -> Array | None:
         """Return the parameters of a run; None if this program is not for it."""
@@ -102,7 +104,8 @@ def program_for(loop: Loop) -> tuple[Program, Array]:
             if parameters is not None:
                 return program, parameters
     tracer, text = write(loop)
-    program = Program(structure, tracer.slots, tracer.fixed, *compiled(text, "ticks", "accelerations"))
+    functions = compiled(text, "ticks", "accelerations", "sums")
+    program = Program(structure, tracer.slots, tracer.fixed, *functions)
     parameters = program.parameters(loop)
     if parameters is None:
         raise NotCompilable("a component's parameters change by themselves")
@@ -147,9 +150,10 @@ def write(loop: Loop) -> tuple[Tracer, str]:
     tick_lines = tracer.lines_of(lambda: _tick(tracer, loop, state))
     acceleration_lines = tracer.lines_of(lambda: _acceleration(tracer, loop))
     parameters = reading(tracer)
+    joints = range(loop.observer.model.joints)
     lines = [
         f"@numba.njit({_TICKS!r}, cache=CACHED)",
-        "def ticks(parameters, state, k, last, dt_ns, rows, reached):",
+        "def ticks(parameters, state, k, last, dt_ns, columns, reached):",
         *indented(1, parameters),
         *indented(1, [f"s{i} = state[{i}]" for i in range(count)]),
         "    while k < last:",
@@ -166,6 +170,17 @@ def write(loop: Loop) -> tuple[Tracer, str]:
         "    k = 0",
         "    while k < len(out):",
         *indented(2, acceleration_lines),
+        "    return k",
+        "",
+        "",
+        f"@numba.njit({_SUMS!r}, cache=CACHED)",
+        "def sums(values, out):",
+        *indented(1, [f"s{j} = values[0, {j}]" for j in joints]),
+        "    k = 1",
+        "    while k < len(values):",
+        *indented(2, [f"s{j} += values[k, {j}]" for j in joints]),
+        "        k += 1",
+        *indented(1, [f"out[{j}] = s{j}" for j in joints]),
         "    return k",
     ]
     return tracer, module_of(tracer, lines)
@@ -212,11 +227,12 @@ def _tick(tracer: Tracer, loop: Loop, state: tuple[Any, ...]) -> list[str]:
     symbols = with_numbers(state, (Symbol(tracer, f"s{i}") for i in range(10**9)))
     put_state(run, symbols)
     run.plant.changes = ()  # the ticks in which the robot changes are not run by the source
+    joints = loop.observer.model.joints
     time_ns = Symbol(tracer, "time_ns")
     row, u, d = run.act(time_ns)
     run.plant.step(time_ns, u, d)
     return [
-        *(f"rows[k, {i}] = {literal(x)}" for i, x in enumerate(row)),
+        *(f"columns[{i // joints}, k, {i % joints}] = {literal(x)}" for i, x in enumerate(row)),
         *following(state, state_of(run)),
         "k += 1",
     ]
@@ -252,8 +268,9 @@ def indented(depth: int, lines: list[str]) -> Iterator[str]:
     return (" " * 4 * depth + line for line in lines)
 
 
-_TICKS = "int64(float64[::1], float64[::1], int64, int64, int64, float64[:, ::1], int64[::1])"
+_TICKS = "int64(float64[::1], float64[::1], int64, int64, int64, float64[:, :, ::1], int64[::1])"
 _ACCELERATIONS = "int64(float64[::1], float64[:, ::1], float64[:, ::1], float64[:, ::1])"
+_SUMS = "int64(float64[:, ::1], float64[::1])"
 _HEAD = '''"""Written and compiled by ftcm_core.compiled; may be deleted."""
 
 import math

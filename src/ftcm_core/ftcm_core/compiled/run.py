@@ -51,7 +51,7 @@ def simulate(scenario: Scenario) -> Trace:
     """
     require_numba()
     loop, last, dt_ns = Loop(scenario), scenario.last_tick, scenario.dt_ns
-    rows = np.empty((last + 1, len(scenario.columns) * scenario.robot.joints))
+    columns = np.empty((len(scenario.columns), last + 1, scenario.robot.joints))
     changes = {time_ns // dt_ns for time_ns, _ in robot_changes(scenario)}
     stops = sorted({k for k in changes if k < last} | {last})
     program: Program | None = None
@@ -61,7 +61,8 @@ def simulate(scenario: Scenario) -> Trace:
 
         def record(row: Any, k: int = k) -> None:
             nonlocal recorded
-            rows[k], recorded = row, k + 1  # not of a tick in which a law leaves its domain
+            columns[:, k] = np.reshape(row, columns[:, k].shape)
+            recorded = k + 1  # not of a tick in which a law leaves its domain
 
         reason = loop.tick(k * dt_ns, k == last, record)
         if reason or k == last:
@@ -71,25 +72,32 @@ def simulate(scenario: Scenario) -> Trace:
         if k < stop:
             if program is None or k - 1 in changes:
                 program, parameters = program_for(loop)
-            k = recorded = _run(program, parameters, loop, k, stop, dt_ns, rows)
+            k = recorded = _run(program, parameters, loop, k, stop, dt_ns, columns)
     more: dict[str, Any] = {}
     if program is not None:
-        compute, given = program.accelerations, parameters
+        compute, given, add = program.accelerations, parameters, program.sums
 
         def accelerations(positions: Array, torques: Array) -> Array:
             out = np.empty_like(torques)
             compute(given, np.ascontiguousarray(positions), torques, out)
             return out
 
+        def column_sums(values: Array) -> Array:
+            out = np.empty(values.shape[1])
+            add(np.ascontiguousarray(values), out)
+            return out
+
         more["accelerations"] = accelerations
+        if scenario.robot.joints > 1:  # one column numpy adds in pairs
+            more["column_sums"] = column_sums
     ended = loop.ended(k * dt_ns, reason)
     loop.look_at_faults(k * dt_ns)
     more["fault_events"] = tuple(loop.fault_events)
-    return to_trace(scenario, rows[:recorded].ravel(), *ended, engine="compiled", **more)
+    return to_trace(scenario, columns[:, :recorded], *ended, engine="compiled", **more)
 
 
 def _run(
-    program: Program, parameters: Array | None, loop: Loop, k: int, stop: int, dt_ns: int, rows: Array
+    program: Program, parameters: Array | None, loop: Loop, k: int, stop: int, dt_ns: int, columns: Array
 ) -> int:
     """Run compiled ticks from k on; return the first one not run: ``stop``, or one that ends the run."""
     before = state_of(loop)
@@ -97,7 +105,7 @@ def _run(
 
     def go(end: int) -> int:
         state = np.array(list(numbers(before)), dtype=np.float64)
-        at = program.ticks(parameters, state, k, end, dt_ns, rows, reached)
+        at = program.ticks(parameters, state, k, end, dt_ns, columns, reached)
         put_state(loop, with_numbers(before, iter(state.tolist())))
         return at
 

@@ -139,6 +139,8 @@ class Trace:
     """How it was run: ``plain``, ``compiled``, or ``graph`` for one that was recorded."""
     accelerations: Callable[[Array, Array], Array] | None = None
     """M(q)^-1 tau of the model, compiled: of positions (rad) and torques (N·m), row by row."""
+    column_sums: Callable[[Array], Array] | None = None
+    """What :meth:`sums` does, compiled."""
 
     @property
     def columns(self) -> dict[str, Array]:
@@ -229,6 +231,15 @@ class Trace:
             f"<table><tr><th>window</th>{heads}</tr>{rows}</table>"
         )
 
+    def sums(self, values: Array) -> Array:
+        """Return the sums over rows, shape (joints,), of an array of shape (n, joints).
+
+        numpy adds such an array row after row, and so does the compiled function: every bit is equal.
+        """
+        if self.column_sums is None or not len(values):
+            return np.asarray(np.sum(values, axis=0))
+        return self.column_sums(values)
+
     @property
     def model(self) -> Robot | None:
         """What observer and controller believe of the robot, if the run says so."""
@@ -296,6 +307,11 @@ class Trace:
         """Estimate Δ̂ = M(q)^-1 tau_hat, rad/s²; NaN without a robot model."""
         seen = self.position if self.measured_position is None else self.measured_position
         return self._as_acceleration(seen, self.disturbance_estimate)
+
+    @cached_property
+    def observer_error(self) -> Array:
+        """The observer's error Δ - Δ̂, rad/s²; NaN without a robot model."""
+        return self.lumped_uncertainty - self.lumped_uncertainty_estimate
 
     def _as_acceleration(self, position: Array, torque: Array) -> Array:
         if self.model is None:

@@ -36,7 +36,7 @@ from ftcm_core.report.panels import grid, legend, mark_onsets, styled
 from ftcm_core.scenario import Scenario, load, replace
 from ftcm_core.signals import Vector, seconds
 from ftcm_core.simulation.fault_chain import FaultChain, Phase
-from ftcm_core.simulation.loop import Loop, simulate, to_trace
+from ftcm_core.simulation.loop import Loop, by_column, simulate, to_trace
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -338,7 +338,7 @@ def _run(fault: Fault, scenario: Scenario) -> tuple[Trace, Array, float]:
         sizes.append(_size(fault, seconds(time_ns), phase, first.key))
         if reason:
             break
-    trace = to_trace(scenario, np.frombuffer(rows), *loop.ended(k * scenario.dt_ns, reason))
+    trace = to_trace(scenario, by_column(scenario, rows), *loop.ended(k * scenario.dt_ns, reason))
     return trace, np.array(sizes[: trace.ticks]), phase.onset
 
 

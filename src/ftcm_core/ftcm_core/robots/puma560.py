@@ -14,7 +14,7 @@ and :func:`link_terms` lacks them in I13, P, Q and S.)
 from __future__ import annotations
 
 from collections.abc import Sequence
-from functools import cached_property
+from functools import cached_property, lru_cache
 from math import cos, sin
 from typing import ClassVar, NamedTuple
 
@@ -176,6 +176,26 @@ def inertia(k: Vector, q: Vector) -> tuple[Vector, Vector]:
     ), (s2, c2, s3, c3, s23, c23)
 
 
+@lru_cache(maxsize=16)
+def indefinite(k: Vector) -> tuple[float, float] | None:
+    """Where M(q) is not positive definite, of a grid of positions.
+
+    Args:
+        k: coefficients, as of :func:`inertia`. Of a campaign's runs most have the same.
+
+    Returns:
+        q2 and q3, rad; None if it is everywhere.
+    """
+    for j in range(-6, 7):
+        for i in range(-6, 7):
+            m11, m12, m13, m22, m23, m33 = inertia(k, (0.0, 0.5 * i, 0.5 * j))[0]
+            minor = m22 - m12 * m12 / m11 if m11 > 0.0 else 0.0
+            rest = m23 - m12 * m13 / m11 if m11 > 0.0 else 0.0
+            if minor <= 0.0 or m33 - m13 * m13 / m11 - rest * rest / minor <= 0.0:
+                return 0.5 * i, 0.5 * j
+    return None
+
+
 def inertia_rate(k: Vector, q: Vector, v: Vector) -> Vector:
     """Rate of the inertia matrix of the explicit model along v.
 
@@ -333,17 +353,12 @@ class Puma560(Robot):
             self.check_joints(3)
         except ParameterError:  # the scenario says so
             return
-        for j in range(-6, 7):
-            for i in range(-6, 7):
-                q = (0.0, 0.5 * i, 0.5 * j)
-                m11, m12, m13, m22, m23, m33 = inertia(self.coefficients, q)[0]
-                minor = m22 - m12 * m12 / m11 if m11 > 0.0 else 0.0
-                rest = m23 - m12 * m13 / m11 if m11 > 0.0 else 0.0
-                if minor <= 0.0 or m33 - m13 * m13 / m11 - rest * rest / minor <= 0.0:
-                    raise ParameterError(
-                        "mass: with these masses, centres and inertias the mass matrix is not positive "
-                        f"definite at q2 = {0.5 * i:g}, q3 = {0.5 * j:g} rad; expected a body that can exist"
-                    )
+        where = indefinite(self.coefficients)
+        if where:
+            raise ParameterError(
+                "mass: with these masses, centres and inertias the mass matrix is not positive "
+                f"definite at q2 = {where[0]:g}, q3 = {where[1]:g} rad; expected a body that can exist"
+            )
 
     @cached_property
     def terms(self) -> Terms:

@@ -189,40 +189,44 @@ def simulate(
     ended = loop.ended(k * dt_ns, reason)
     loop.look_at_faults(k * dt_ns)
     events = tuple(loop.fault_events)
-    table = np.frombuffer(rows, dtype=np.float64)
+    columns = by_column(scenario, rows)
     done = sorted([*(c for c in changes if not c.by), *loop.made], key=lambda c: (c.tick, c.kind))
     return to_trace(
-        scenario, table, *ended, changes=done, fault_events=events, decisions=tuple(loop.decisions)
+        scenario, columns, *ended, changes=done, fault_events=events, decisions=tuple(loop.decisions)
     )
+
+
+def by_column(scenario: Scenario, rows: array[float]) -> Array:
+    """Return the rows of all ticks, one after the other, as :func:`to_trace` takes them."""
+    table = np.frombuffer(rows).reshape(-1, len(scenario.columns), scenario.robot.joints)
+    return np.ascontiguousarray(table.swapaxes(0, 1))
 
 
 def to_trace(
     scenario: Scenario,
-    rows: Array,
+    columns: Array,
     status: str,
     detail: str,
     ended_at: float | None,
     **more: Any,
 ) -> Trace:
-    """Make a trace of recorded rows.
+    """Make a trace of what was recorded.
 
     Args:
         scenario: what ran.
-        rows: the rows of all ticks, one after the other.
+        columns: shape (columns, ticks, joints), in the order of the scenario's columns; rows contiguous.
         status: how the run ended.
         detail: why it ended early; empty if it did not.
         ended_at: when it ended early, s.
         **more: further fields of the trace.
     """
-    names = scenario.columns
-    table = rows.reshape(-1, len(names), scenario.robot.joints)
-    columns: dict[str, Any] = {name: np.ascontiguousarray(table[:, i]) for i, name in enumerate(names)}
+    named: dict[str, Any] = dict(zip(scenario.columns, columns))
     more["changes"] = tuple(more.get("changes", ()))
     return Trace(
         joint_names=scenario.robot.joint_names,
         dt=scenario.dt,
-        time_ns=np.arange(len(table), dtype=np.int64) * scenario.dt_ns,
-        **columns,
+        time_ns=np.arange(columns.shape[1], dtype=np.int64) * scenario.dt_ns,
+        **named,
         scenario=scenario,
         status=status,
         detail=detail,

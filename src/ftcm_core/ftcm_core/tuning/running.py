@@ -5,7 +5,6 @@ from __future__ import annotations
 
 import dataclasses
 import math
-import os
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
@@ -16,7 +15,7 @@ from ftcm_core.campaign.folder import IDENTITY, begin, check_same, fingerprint, 
 from ftcm_core.campaign.running import chosen_engine, run_campaign
 from ftcm_core.errors import FtcmError
 from ftcm_core.extras import need
-from ftcm_core.parallel import Workers
+from ftcm_core.parallel import Processes, processes_of
 from ftcm_core.recording.metrics import METRICS
 from ftcm_core.recording.provenance import provenance
 from ftcm_core.report.results import to_json
@@ -39,7 +38,7 @@ def run_tuning(
     *,
     name: str = "",
     engine: str = "auto",
-    jobs: int | None = None,
+    jobs: int | Processes | None = None,
     resume: bool = False,
     progress: Callable[[int, int], None] | None = None,
     note: Callable[[str], None] = lambda text: None,
@@ -54,7 +53,7 @@ def run_tuning(
         folder: where all goes; it must be there.
         name: what the result is called, e.g. the file's name.
         engine: as of a campaign.
-        jobs: number of processes; the number of cores by default.
+        jobs: as of a campaign.
         resume: whether the folder has a beginning of the same tuning.
         progress: called with the trials done and their number, first before the first.
         note: told in one line each what runs plainly and why.
@@ -82,7 +81,7 @@ def run_tuning(
             note(f"warning: {text}; the trials that are there were made with the former")
     else:
         begin(folder, identity, TUNE)
-    with locked(folder / TUNE), Workers(jobs or os.cpu_count() or 1) as workers:
+    with locked(folder / TUNE), processes_of(jobs) as workers:
         if engine != "plain":
             _prepare(tuning, engine, note)
         start = Candidate(())
@@ -167,7 +166,7 @@ def _compare(
     settings: tuple[str, ...],
     folder: Path,
     engine: str,
-    jobs: int | None,
+    jobs: int | Processes | None,
     note: Callable[[str], None],
 ) -> dict[str, Any]:
     """Run start and result over the same draws, which the search has not seen."""

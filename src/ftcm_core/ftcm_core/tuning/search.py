@@ -22,7 +22,7 @@ from typing import Any
 
 from ftcm_core.campaign.variation import Variation
 from ftcm_core.errors import FtcmError
-from ftcm_core.parallel import Workers
+from ftcm_core.parallel import Processes
 from ftcm_core.random_streams import stream_key
 from ftcm_core.tuning.plan import Tuning, value_at
 from ftcm_core.tuning.trials import Candidate, measure
@@ -40,7 +40,7 @@ SMALLEST = 1e-300
 def search(
     tuning: Tuning,
     folder: Path,
-    workers: Workers,
+    workers: Processes,
     engine: str,
     start: Sequence[float],
     *,

@@ -10,7 +10,7 @@ from dataclasses import dataclass, field
 from ftcm_core.campaign.plan import Campaign, Run
 from ftcm_core.campaign.running import simulated
 from ftcm_core.errors import ScenarioError
-from ftcm_core.parallel import Workers
+from ftcm_core.parallel import Processes
 from ftcm_core.recording.metrics import METRICS, windows
 from ftcm_core.tuning.plan import Metric, Tuning
 
@@ -84,7 +84,7 @@ def _measure(job: _Measurement) -> tuple[str, dict[Metric, list[float]]]:
 def measure(
     tuning: Tuning,
     candidates: Sequence[Candidate],
-    workers: Workers,
+    workers: Processes,
     engine: str,
     after: Callable[[int, list[Candidate]], None] = lambda step, open: None,
 ) -> None:
