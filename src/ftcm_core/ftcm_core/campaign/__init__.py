@@ -6,12 +6,12 @@ Every contender meets the same draws. A run is reproduced exactly by
 """
 
 from ftcm_core.campaign.plan import Campaign, Run, from_file, is_campaign
-from ftcm_core.campaign.running import ENGINES, chosen_engine, read_runs, run_campaign, run_one
+from ftcm_core.campaign.running import ENGINES, chosen_engine, read_runs, result_of, run_campaign, run_one
 from ftcm_core.campaign.sampling import SAMPLINGS
 from ftcm_core.campaign.statistics import table
 from ftcm_core.campaign.variation import DISTRIBUTIONS, Variation, parse_variation
 
 __all__ = [
     "DISTRIBUTIONS", "ENGINES", "SAMPLINGS", "Campaign", "Run", "Variation", "chosen_engine", "from_file",
-    "is_campaign", "parse_variation", "read_runs", "run_campaign", "run_one", "table",
+    "is_campaign", "parse_variation", "read_runs", "result_of", "run_campaign", "run_one", "table",
 ]  # fmt: skip

@@ -102,14 +102,26 @@ def run_one(campaign: Campaign, run: Run, engine: str) -> dict[str, Any]:
         NotCompilable: with the engine ``compiled``.
     """
     scenario = campaign.scenario(run)
-    trace, ran = simulated(scenario, engine)
+    return result_of(campaign, run, *simulated(scenario, engine))
+
+
+def result_of(campaign: Campaign, run: Run, trace: Trace, ran: str) -> dict[str, Any]:
+    """Return the result of a run that was made: a line of ``runs.jsonl``.
+
+    Args:
+        campaign: the campaign.
+        run: one of its runs.
+        trace: what came out.
+        ran: what ran it.
+    """
+    scored = trace.scenario and trace.scenario.detector
     return {
         **_identity(campaign, run),
         "status": trace.status,
         "detail": trace.detail,
         "engine": ran,
         "metrics": evaluate(trace),
-        **({"detection": detection_scores(trace)} if scenario.detector else {}),
+        **({"detection": detection_scores(trace)} if scored else {}),
     }
 
 

@@ -7,12 +7,10 @@ import dataclasses
 import re
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 from ftcm_core import campaign
 from ftcm_core.errors import FtcmError
-from ftcm_core.recording.detection import detection_scores
-from ftcm_core.recording.metrics import evaluate
 from ftcm_core.recording.trace import Trace
 from ftcm_core.report.results import to_json
 from ftcm_core.scenario import read_mapping
@@ -27,31 +25,12 @@ class GraphCampaign(NamedTuple):
     runs: dict[str, campaign.Run]
     """By label, which is a file's name too."""
 
-    def row(self, label: str, trace: Trace, engine: str) -> dict[str, Any]:
-        """Return the result of a run, as a line of a campaign's ``runs.jsonl``.
-
-        Args:
-            label: which run.
-            trace: what it recorded.
-            engine: what ran it.
-        """
-        run = self.runs[label]
-        scores = {"detection": detection_scores(trace)} if self.planned.scenario(run).detector else {}
-        return {
-            "run": run.number,
-            "contender": run.contender,
-            "controller": run.controller,
-            "set": self.planned.settings(run),
-            "status": trace.status,
-            "detail": trace.detail,
-            "engine": engine,
-            "metrics": evaluate(trace),
-            **scores,
-        }
-
     def write_rows(self, folder: Path, traces: Sequence[tuple[str, Trace]], engine: str) -> None:
         """Write ``runs.jsonl``: of the runs that have a trace, in the order of the campaign."""
-        lines = [to_json(self.row(label, trace, engine)) + "\n" for label, trace in traces]
+        results = [
+            campaign.result_of(self.planned, self.runs[label], trace, engine) for label, trace in traces
+        ]
+        lines = [to_json(result) + "\n" for result in results]
         (folder / ROWS).write_text("".join(lines), encoding="utf-8")
 
 
