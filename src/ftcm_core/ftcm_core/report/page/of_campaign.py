@@ -126,7 +126,8 @@ def _tracked(field: Field) -> list[str]:
     known = [f"{law} {float(np.median(list(own.values()))):.3g} rad" for law, own in means.items() if own]
     if known:
         told.append(
-            f"{when} the median over the draws of the mean |e| (mean of the joints) is: {listed(known)}."
+            f"{when} the median of the mean |e| (mean of the joints), of each law over the draws that it "
+            f"completed, is: {listed(known)}."
         )
     return told
 
