@@ -250,9 +250,11 @@ def start(tmp_path: Path) -> Iterator[Callable[..., subprocess.Popen[str]]]:
     def run(name: str, *arguments: str) -> subprocess.Popen[str]:
         if _WORKERS > 1 and name == "experiment" and not {"--domain-id", "--external-nodes"} & {*arguments}:
             arguments += ("--domain-id", str(free_domain()))
+        # What this process has set for its own nodes is no setting of the user's.
+        environment = {k: v for k, v in os.environ.items() if k != "FASTRTPS_DEFAULT_PROFILES_FILE"}
         process = subprocess.Popen(
             [*program(name), *arguments],
-            cwd=tmp_path, env=os.environ.copy(), text=True, stdin=subprocess.DEVNULL,
+            cwd=tmp_path, env=environment, text=True, stdin=subprocess.DEVNULL,
             stdout=subprocess.PIPE, stderr=subprocess.PIPE,
         )  # fmt: skip
         started.append(process)

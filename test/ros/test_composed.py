@@ -153,9 +153,13 @@ def test_composed_nodes_are_nodes_with_their_own_topics_parameters_lifecycle_and
     for topic in (JOINT_STATES, ESTIMATE, TORQUES, DISTURBANCE, REFERENCE):
         heard[topic.name] = []
         watcher.node.create_subscription(JointState, topic.name, heard[topic.name].append, 100)
-    watcher.spin_until(lambda: all(len(messages) > 20 for messages in heard.values()), "all topics")
-    stamps = [[(m.header.stamp.sec, m.header.stamp.nanosec) for m in found] for found in heard.values()]
-    assert len(set(stamps[0]) & set(stamps[2])) > 10
+
+    def whole_ticks() -> int:
+        """How many ticks all topics have been heard of."""
+        stamps = [{(m.header.stamp.sec, m.header.stamp.nanosec) for m in found} for found in heard.values()]
+        return len(set.intersection(*stamps))
+
+    watcher.spin_until(lambda: whole_ticks() > 10, "messages of the same ticks on all topics")
     assert watcher.set("controller", controller="scm") == [
         (False, "no controller 'scm'; did you mean 'smc'?")
     ]

@@ -254,9 +254,11 @@ def test_what_the_user_has_set_stays(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 def test_each_kind_of_process_has_its_settings_of_the_middleware(monkeypatch: pytest.MonkeyPatch) -> None:
-    for name in (variable := "FASTRTPS_DEFAULT_PROFILES_FILE", "ROS_AUTOMATIC_DISCOVERY_RANGE"):
-        monkeypatch.setenv(name, "")
-    for profiles in (PROFILES, VIEWER_PROFILES, PROFILES):
+    variable = "FASTRTPS_DEFAULT_PROFILES_FILE"
+    monkeypatch.setenv("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
+    for profiles in (PROFILES, VIEWER_PROFILES):
+        monkeypatch.setenv(variable, "")  # so that it is put back
+        monkeypatch.delenv(variable)
         set_defaults(profiles)
         assert os.environ[variable] == str(profiles)
     monkeypatch.setenv(variable, "mine.xml")

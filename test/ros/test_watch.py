@@ -316,6 +316,9 @@ def test_it_reads_a_run_only_while_that_is_on(live: Callable[..., Any], start: C
 
     everything = {"/" + topic.name.removeprefix("/") for topic in (*WATCHED, *SHOWN)}
     run.until(lambda: read_by_it() == everything, "its readers while the run is on")
+    run.until(
+        lambda: "plant" in run.health, "a report of the plant"
+    )  # which the viewer may have heard sooner
     assert int(run.health["plant"]["tick"]) > 0, "and no reader before"
     run.interrupt()
     run.watcher.spin_until(lambda: read_by_it() == {"/diagnostics"}, "no reader but that of the reports")

@@ -69,9 +69,7 @@ def set_defaults(profiles: Path = PROFILES) -> str:
     Returns:
         What is set, as ``NAME=value`` words.
     """
-    ours = {"", str(PROFILES), str(VIEWER_PROFILES)}  # also those of the process that has started this one
-    if os.environ.get("FASTRTPS_DEFAULT_PROFILES_FILE", "") in ours:
-        os.environ["FASTRTPS_DEFAULT_PROFILES_FILE"] = str(profiles)
+    os.environ.setdefault("FASTRTPS_DEFAULT_PROFILES_FILE", str(profiles))
     os.environ.setdefault("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
     if secured():
         os.environ.setdefault("ROS_SECURITY_STRATEGY", "Enforce")
