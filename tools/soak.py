@@ -8,7 +8,9 @@ each process, counts every message of the bag, and prints a table. Exit status: 
 from __future__ import annotations
 
 import argparse
+import contextlib
 import csv
+import math
 import os
 import platform
 import shutil
@@ -38,6 +40,9 @@ GROWTH_LIMIT_KB = 1024
 """How much a process may grow after the warm-up."""
 BYTES_PER_TICK = 2000
 """Space a tick takes in the bag, generously."""
+HELD_SECONDS = 1.0
+"""So long the recorder is stopped once, in the middle of the warm-up. A sender keeps what has not been
+acknowledged, and keeps the room for it afterwards: what counts is the memory after queues have been full."""
 SETTLED = 3
 """The median of so many samples is the memory at the beginning and at the end."""
 
@@ -58,10 +63,11 @@ def memory_kb(pid: int) -> int:
 class Sampler(threading.Thread):
     """Writes the memory of processes to a CSV file now and then, in a background thread."""
 
-    def __init__(self, file: Path, run: Run, every: float) -> None:
+    def __init__(self, file: Path, run: Run, every: float, warm_up: float) -> None:
         """Sample the nodes of a run, once they are there, and this process."""
         super().__init__(name="sampler", daemon=True)
         self._file, self._run, self._every = file, run, every
+        self._hold_at = warm_up / 2
         self._end = threading.Event()
 
     def run(self) -> None:
@@ -74,7 +80,14 @@ class Sampler(threading.Thread):
                 if self._run.watchdog is None:  # the ticks have not begun
                     began = time.monotonic()
                     continue
-                for name, pid in {**self._run.processes.pids(), "experiment": os.getpid()}.items():
+                pids = self._run.processes.pids()
+                if time.monotonic() - began >= self._hold_at and "recorder" in pids:
+                    self._hold_at = math.inf
+                    with contextlib.suppress(OSError):  # it has just ended
+                        os.kill(pids["recorder"], signal.SIGSTOP)
+                        time.sleep(HELD_SECONDS)
+                        os.kill(pids["recorder"], signal.SIGCONT)
+                for name, pid in {**pids, "experiment": os.getpid()}.items():
                     try:
                         rows.writerow((round(time.monotonic() - began, 1), name, memory_kb(pid)))
                     except OSError:  # it has just ended
@@ -146,7 +159,7 @@ def run_for(scenario: Scenario, options: argparse.Namespace) -> Run:
     domain = Domain()
     use_domain(domain, folder)
     run = Run(scenario, "soak", folder, run_options, domain)
-    sampler = Sampler(folder / "memory.csv", run, options.every)
+    sampler = Sampler(folder / "memory.csv", run, options.every, options.warm_up)
     sampler.start()
     try:
         run.execute()
