@@ -175,6 +175,7 @@ def test_a_parameter_file_without_parameters_is_refused(tmp_path, capsys):
 @pytest.mark.parametrize("file", sorted((ROOT / "config" / "suites").glob("*.yaml")), ids=lambda p: p.stem)
 def test_the_shipped_suites_can_be_run(file):
     """Their first and last draw with every contender, for some hundredths of a second."""
+    pytest.importorskip("scipy", reason="scipy is not installed")  # their draws are even
     planned = campaign.from_file(str(file))
     some = [run for run in planned.run_list() if run.number in (0, planned.runs - 1)]
     assert len(some) >= 6
