@@ -11,14 +11,14 @@ from pathlib import Path
 
 import pytest
 
+from campaigns import contents, planned
 from ftcm_core import campaign, cluster, extras
-from ftcm_core.campaign import Campaign, parse_variation
 from ftcm_core.cli import main
 from ftcm_core.cluster import Cluster
 from ftcm_core.errors import FtcmError
 from plugins import registry_kept
 
-FILES = ("runs.jsonl", "summary.json", "table.md")
+PLANNED = planned(runs=30, fault=0.05, seed=1)
 ROOT = Path(__file__).resolve().parents[2]
 PLUGIN = ROOT / "docs" / "template" / "my_lab" / "pd_plus.py"
 
@@ -57,26 +57,11 @@ def address(tmp_path_factory):
         yield address
 
 
-def planned(runs=30):
-    return Campaign(
-        "paper",
-        runs=runs,
-        seed=1,
-        variations=(parse_variation("observer.k1=uniform(10000, 20000)"),),
-        overrides=("duration=0.1", "transient=0.01", "injection.faults.0.start=0.05"),
-        controllers=("ftcm", "smc"),
-    )
-
-
-def contents(folder):
-    return {name: (folder / name).read_bytes() for name in FILES}
-
-
 @pytest.fixture(scope="module")
 def whole(tmp_path_factory):
     """The same campaign in this process alone."""
     folder = tmp_path_factory.mktemp("whole")
-    campaign.run_campaign(planned(), engine="plain", jobs=1, folder=folder)
+    campaign.run_campaign(PLANNED, engine="plain", jobs=1, folder=folder)
     return folder
 
 
@@ -101,7 +86,7 @@ def test_the_results_are_those_of_this_machine_though_a_process_is_killed(addres
 
     with Cluster(address) as engine:
         assert engine.count == 2
-        campaign.run_campaign(planned(), engine="plain", jobs=engine, folder=tmp_path, progress=kill_one)
+        campaign.run_campaign(PLANNED, engine="plain", jobs=engine, folder=tmp_path, progress=kill_one)
     assert contents(tmp_path) == contents(whole)
     after = processes(address)
     assert not after & set(killed)
@@ -111,15 +96,16 @@ def test_the_results_are_those_of_this_machine_though_a_process_is_killed(addres
 @pytest.mark.nightly
 def test_an_ended_campaign_goes_on_there(address, whole, tmp_path, capsys):
     text = (whole / "runs.jsonl").read_bytes()
-    (tmp_path / "runs.jsonl").write_bytes(text[: len(text) // 2])
+    text = text[: len(text) // 2]
+    (tmp_path / "runs.jsonl").write_bytes(text)
     (tmp_path / "campaign.json").write_bytes((whole / "campaign.json").read_bytes())
     told = []
     with Cluster(address) as engine:
         campaign.run_campaign(
-            planned(), engine="plain", jobs=engine, folder=tmp_path, resume=True,
+            PLANNED, engine="plain", jobs=engine, folder=tmp_path, resume=True,
             progress=lambda *x: told.append(x),
         )  # fmt: skip
-    assert told[0] == (29, 60)
+    assert told[0] == (text.count(b"\n"), 60)
     assert contents(tmp_path) == contents(whole)
 
 
@@ -190,7 +176,7 @@ def test_a_scheduler_that_is_gone_ends_the_campaign_with_one_line(tmp_path):
     gone = pytest.raises(FtcmError, match=r"the scheduler is gone.*--resume")
     with dask(tmp_path, 1) as (scheduler, address), Cluster(address) as processes, gone:
         campaign.run_campaign(
-            planned(), engine="plain", jobs=processes, progress=lambda done, _: done and scheduler.kill()
+            PLANNED, engine="plain", jobs=processes, progress=lambda done, _: done and scheduler.kill()
         )
 
 

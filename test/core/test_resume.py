@@ -10,12 +10,13 @@ import time
 
 import pytest
 
+from campaigns import FILES, contents, planned
 from ftcm_core import campaign
-from ftcm_core.campaign import Campaign, parse_variation, running
+from ftcm_core.campaign import running
 from ftcm_core.cli import main
 from ftcm_core.errors import FtcmError
 
-FILES = ("runs.jsonl", "summary.json", "table.md")
+PLANNED = planned(runs=3, fault=0.01)
 OPTIONS = [
     "paper", "--engine", "plain", "--controllers", "ftcm", "smc",
     "--set", "duration=0.05", "transient=0.01", "injection.faults.0.start=0.02",
@@ -23,25 +24,10 @@ OPTIONS = [
 ]  # fmt: skip
 
 
-def planned(**more):
-    return Campaign(
-        "paper",
-        runs=3,
-        variations=(parse_variation("observer.k1=uniform(10000, 20000)"),),
-        overrides=("duration=0.02", "transient=0.005", "injection.faults.0.start=0.01"),
-        controllers=("ftcm", "smc"),
-        **more,
-    )
-
-
-def contents(folder):
-    return {name: (folder / name).read_bytes() for name in FILES}
-
-
 @pytest.fixture(scope="module")
 def whole(tmp_path_factory):
     folder = tmp_path_factory.mktemp("whole")
-    campaign.run_campaign(planned(), engine="plain", jobs=1, folder=folder)
+    campaign.run_campaign(PLANNED, engine="plain", jobs=1, folder=folder)
     return folder
 
 
@@ -56,7 +42,7 @@ def test_what_is_missing_is_run_and_nothing_else(whole, tmp_path, monkeypatch, s
     real = running.run_one
     monkeypatch.setattr(running, "run_one", lambda c, run, e: ran.append(run) or real(c, run, e))
     campaign.run_campaign(
-        planned(), engine="plain", jobs=1, folder=tmp_path, resume=True, progress=lambda *x: told.append(x)
+        PLANNED, engine="plain", jobs=1, folder=tmp_path, resume=True, progress=lambda *x: told.append(x)
     )
     assert len(ran) == 6 - kept
     assert told[0] == (kept, 6)
@@ -130,7 +116,7 @@ def test_other_versions_are_told(whole, tmp_path):
     identity["provenance"]["numpy"] = "1.0"
     (tmp_path / "campaign.json").write_text(json.dumps(identity))
     told = []
-    campaign.run_campaign(planned(), engine="plain", folder=tmp_path, resume=True, note=told.append)
+    campaign.run_campaign(PLANNED, engine="plain", folder=tmp_path, resume=True, note=told.append)
     assert [text for text in told if "numpy was 1.0, is " in text]
 
 
@@ -150,5 +136,5 @@ def test_two_processes_do_not_write_the_same_results(whole, tmp_path, capsys):
     with open(tmp_path / "runs.jsonl") as file:
         fcntl.flock(file, fcntl.LOCK_EX)
         with pytest.raises(FtcmError, match="another process is at it"):
-            campaign.run_campaign(planned(), engine="plain", folder=tmp_path, resume=True)
+            campaign.run_campaign(PLANNED, engine="plain", folder=tmp_path, resume=True)
     assert contents(tmp_path) == contents(whole)

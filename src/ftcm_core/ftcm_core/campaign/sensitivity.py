@@ -28,10 +28,12 @@ _AT_A_TIME = 100
 
 
 class Correlation(NamedTuple):
-    """How an error follows a drawn value."""
+    """How an error follows a drawn value; all in [-1, 1], without unit."""
 
     value: float
+    """Spearman's rank correlation."""
     low: float
+    """Ends of its bootstrap interval of 95 %."""
     high: float
 
 
