@@ -27,7 +27,7 @@ from ftcm_core.scenario import from_mapping, load, replace
 from ftcm_core.simulation import Loop, simulate
 from plugins import ROBOTS, robots_known, scenario_mapping
 from traces import close
-from written_tick import WrittenTick, state_numbers
+from written_tick import WrittenTick, state_numbers, written_as_plain
 
 pytestmark = pytest.mark.pure
 
@@ -62,17 +62,7 @@ def started(*overrides, controller="ftcm"):
 def test_what_is_written_is_the_plain_tick_bit_for_bit(name, variant):
     _, loop = started(*VARIANTS[variant], controller=name)
     _, other = started(*VARIANTS[variant], controller=name)
-    written_as_plain(loop, other, 60)
-
-
-def written_as_plain(loop, other, last):
-    """Both go on from tick 3, one by the written tick: rows and states are equal bit for bit."""
-    written, plain = WrittenTick(loop), []
-    assert written.run(3, last) == last
-    for k in range(3, last):
-        assert not other.tick(k * other.plant.dt_ns, False, plain.append)
-    assert written.rows == [list(row) for row in plain]
-    assert written.state == state_numbers(other)
+    written_as_plain(loop, other, 3, 60)
 
 
 ONE_OF_EACH = {
@@ -146,7 +136,7 @@ def together(variants, most=5):
 def test_what_is_written_of_every_kind_of_component_is_the_plain_tick(variant):
     _, loop = started(*ONE_OF_EACH[variant])
     _, other = started(*ONE_OF_EACH[variant])
-    written_as_plain(loop, other, 40)
+    written_as_plain(loop, other, 3, 40)
 
 
 LAWS_AND_OBSERVERS = [(law, "do") for law in components("controller")]
@@ -161,7 +151,7 @@ def test_what_is_written_for_any_robot_is_the_plain_tick(law, observer, robot):
     loops = Loop(scenario), Loop(scenario)
     for k in range(3):
         assert not any(loop.tick(k * scenario.dt_ns, False, lambda row: None) for loop in loops)
-    written_as_plain(*loops, 20 if ROBOTS[robot].joints == 6 else 40)
+    written_as_plain(*loops, 3, 20 if ROBOTS[robot].joints == 6 else 40)
 
 
 @pytest.mark.parametrize("overrides", [(), VARIANTS["limits and delay"]])

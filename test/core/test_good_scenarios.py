@@ -7,13 +7,14 @@ import functools
 import json
 import warnings
 from typing import Any
+from unittest import mock
 
 import numpy as np
 import pytest
 from hypothesis import strategies as st
 
 from ftcm_core import compiled
-from ftcm_core.compiled import program
+from ftcm_core.compiled import program, written
 from ftcm_core.errors import ScenarioError
 from ftcm_core.params import ParamSpec, specs
 from ftcm_core.recording.metrics import result
@@ -214,26 +215,42 @@ def test_the_written_tick_is_the_plain_one(data: dict[str, Any]) -> object:
             return NOT_BAD
         loop.tick(k * scenario.dt_ns, False, lambda row: None)
     try:
-        written = WrittenTick(loop)
+        tick = WrittenTick(loop)
     except compiled.NotCompilable:  # such a run is a plain one
         return NOT_BAD
     last = min([scenario.last_tick, *(time_ns // scenario.dt_ns for time_ns, _ in robot_changes(scenario))])
     if last <= 3:
         return NOT_BAD
     try:
-        reached = written.run(3, last)
+        reached = tick.run(3, last)
     except (ArithmeticError, ValueError):  # found again, and stated, by the plain run
-        reached = written.reached[0]
+        reached = tick.reached[0]
         assert plain_to(plain, scenario, reached, rows)
-        assert_same(written.rows[: reached - 3], rows)
+        assert_same(tick.rows[: reached - 3], rows)
         return rows or NOT_BAD
     reason = plain_to(plain, scenario, reached, rows)
-    assert_same(written.rows, rows)
+    assert_same(tick.rows, rows)
     if reached < last:  # it hands back a tick in which the run ends
         assert reason
         return rows or NOT_BAD
-    assert_same(written.state, state_numbers(plain))
+    assert_same(tick.state, state_numbers(plain))
     return rows
+
+
+@inputs(60, of=160, data=sizes.flatmap(scenarios))
+def test_a_run_that_is_written_is_that_of_the_stages(data: dict[str, Any]) -> object:
+    """Bit for bit, however it ends."""
+    scenario = made(data)
+    if scenario is None:
+        return NOT_BAD
+    with mock.patch.object(written, "WORTH", 0), mock.patch.object(written, "_written", []) as found:
+        trace = simulate(scenario)
+    stages = simulate(scenario, written=False)
+    for field in ("status", "detail", "ended_at", "ticks", "fault_events", "decisions"):
+        assert getattr(trace, field) == getattr(stages, field), field
+    for name, column in stages.columns.items():
+        np.testing.assert_array_equal(trace.columns[name], column, name)
+    return trace if found else NOT_BAD
 
 
 def assert_same(a: list[Any], b: list[Any]) -> None:

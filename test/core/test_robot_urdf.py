@@ -25,7 +25,7 @@ from ftcm_core.robots.urdf_file import locate
 from ftcm_core.scenario import from_mapping, load
 from ftcm_core.simulation import Loop, simulate
 from urdf_arms import PANDA, UR5, arm_text, joint, link, need_arms
-from written_tick import WrittenTick
+from written_tick import written_as_plain
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "reference"))
 import puma560_matrix
@@ -625,11 +625,7 @@ def test_what_is_written_for_an_arm_is_the_plain_tick(name: str, tmp_path: Path)
     loop, other = Loop(scenario), Loop(scenario)
     for k in range(3):
         assert not any(x.tick(k * scenario.dt_ns, False, lambda row: None) for x in (loop, other))
-    written, plain = WrittenTick(loop), []
-    assert written.run(3, 20) == 20
-    for k in range(3, 20):
-        assert not other.tick(k * scenario.dt_ns, False, plain.append)
-    assert written.rows == [list(row) for row in plain]
+    written_as_plain(loop, other, 3, 20)
 
 
 @pytest.mark.slow

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The source that a compiled run compiles, run by Python itself: what is written, apart from numba."""
+"""What is written of a tick, against the stages: for Python, and for numba but run by Python itself."""
 
 from __future__ import annotations
 
@@ -7,6 +7,7 @@ import warnings
 from typing import Any
 
 from ftcm_core.compiled import program, tracing
+from ftcm_core.compiled.written import write
 from ftcm_core.simulation import Loop
 
 
@@ -19,7 +20,7 @@ class _Plain:
 
 
 class WrittenTick:
-    """The written tick of a run that has done one, and its state there."""
+    """The tick of a run that has done one as it is written for numba, run by Python; and its state there."""
 
     def __init__(self, loop: Loop) -> None:
         """Write it.
@@ -59,3 +60,20 @@ class WrittenTick:
 def state_numbers(loop: Loop) -> list[float]:
     """The floats that a run remembers, in the order of the written tick's state."""
     return list(program.numbers(program.state_of(loop)))
+
+
+def written_as_plain(loop: Loop, other: Loop, first: int, last: int) -> None:
+    """Both go on from tick ``first``, one by what is written: rows and states are equal bit for bit."""
+    for_numba, plain = WrittenTick(loop), []  # type: WrittenTick, list[Any]
+    assert for_numba.run(first, last) == last
+    for_python, rows = write(loop), []  # type: Any, list[Any]
+    parameters = program.parameters_of(loop, for_python.slots, for_python.fixed)
+    assert parameters is not None
+    given = parameters.tolist(), state_numbers(loop), first, last, loop.plant.dt_ns
+    reached, state = for_python.ticks(*given, rows.append)
+    assert reached == last
+    for k in range(first, last):
+        assert not other.tick(k * other.plant.dt_ns, False, plain.append)
+    assert for_numba.rows == [list(row) for row in plain]
+    assert rows == plain
+    assert for_numba.state == list(state) == state_numbers(other)

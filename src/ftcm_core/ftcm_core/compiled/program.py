@@ -15,10 +15,10 @@ import sys
 import tempfile
 import textwrap
 import types
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, cast
+from typing import Any, TypeVar, cast
 
 import numpy as np
 
@@ -48,13 +48,22 @@ STAGES = ("plant", "observer", "controller", "injector", "detector")
 
 
 @dataclass(frozen=True)
-class Program:
-    """A compiled tick, for every run of the same structure."""
+class Written:
+    """A tick that was written, for every run of the same structure."""
 
     shape: Any
     """Structure of the run's state."""
     slots: dict[Steps, str]
     fixed: dict[Steps, Any]
+
+
+P = TypeVar("P", bound=Written)
+
+
+@dataclass(frozen=True)
+class Program(Written):
+    """A compiled tick."""
+
     ticks: Callable[..., int]
     """``ticks(parameters, state, k, last, dt_ns, columns, reached) -> k``: runs ticks until ``last`` or one
     that it cannot; ``reached[0]`` is the tick under way, also when it raises."""
@@ -62,10 +71,6 @@ class Program:
     """``accelerations(parameters, positions, torques, out) -> n``: M(q)^-1 tau of the model, row by row."""
     sums: Callable[..., int]
     """``sums(values, out) -> n``: of at least one row of one value per joint, the sums, row after row."""
-
-    def parameters(self, loop: Loop) -> Array | None:
-        """Return the parameters of a run; None if this program is not for it."""
-        return parameters_of(loop, self.slots, self.fixed)
 
 
 def parameters_of(root: Any, slots: dict[Steps, str], fixed: dict[Steps, Any]) -> Array | None:
@@ -97,20 +102,27 @@ def program_for(loop: Loop) -> tuple[Program, Array]:
     """
     require_no_policies(loop)
     require_foreseen(loop.plant)
+    found = matching(_programs, loop)
+    if found is None:
+        tracer, text = write(loop)
+        functions = compiled(text, "ticks", "accelerations", "sums")
+        program = Program(shape(state_of(loop)), tracer.slots, tracer.fixed, *functions)
+        found = matching([program], loop)
+        if found is None:
+            raise NotCompilable("a component's parameters change by themselves")
+        _programs.append(program)
+    return found
+
+
+def matching(programs: Iterable[P], loop: Loop) -> tuple[P, Array] | None:
+    """Return the first program for a run that has done a tick, and its parameters; None if there is none."""
     structure = shape(state_of(loop))
-    for program in _programs:
+    for program in programs:
         if program.shape == structure:
-            parameters = program.parameters(loop)
+            parameters = parameters_of(loop, program.slots, program.fixed)
             if parameters is not None:
                 return program, parameters
-    tracer, text = write(loop)
-    functions = compiled(text, "ticks", "accelerations", "sums")
-    program = Program(structure, tracer.slots, tracer.fixed, *functions)
-    parameters = program.parameters(loop)
-    if parameters is None:
-        raise NotCompilable("a component's parameters change by themselves")
-    _programs.append(program)
-    return program, parameters
+    return None
 
 
 # ---- the state of a run ----
@@ -212,30 +224,64 @@ def module_of(tracer: Tracer, lines: list[str]) -> str:
 
 def _blocks(tracer: Tracer) -> Iterator[str]:
     """Source of the functions that the tracer has set apart."""
-    positions = {name: i for i, name in enumerate(tracer.slots.values())}
     for name, count, lines in tracer.blocks:
-        used = sorted(set(re.findall(r"\bp\d+\b", "\n".join(lines))), key=positions.__getitem__)
         yield "@numba.njit"
-        yield f"def {name}({', '.join(['parameters', *(f'a{i}' for i in range(count))])}):"
-        yield from indented(1, [f"{p} = parameters[{positions[p]}]" for p in used])
-        yield from indented(1, lines)
+        yield from block(tracer, name, count, lines)
         yield "\n"
 
 
+def block(tracer: Tracer, name: str, count: int, lines: list[str]) -> list[str]:
+    """Source of a function that the tracer has set apart, of its lines."""
+    positions = {name: i for i, name in enumerate(tracer.slots.values())}
+    used = sorted(set(re.findall(r"\bp\d+\b", "\n".join(lines))), key=positions.__getitem__)
+    return [
+        f"def {name}({', '.join(['parameters', *(f'a{i}' for i in range(count))])}):",
+        *indented(1, [f"{p} = parameters[{positions[p]}]" for p in used]),
+        *indented(1, lines),
+    ]
+
+
 def _tick(tracer: Tracer, loop: Loop, state: tuple[Any, ...]) -> list[str]:
+    joints = loop.observer.model.joints
+    row, moved = follow_tick(tracer, loop, state)
+    return [
+        *(f"columns[{i // joints}, k, {i % joints}] = {literal(x)}" for i, x in enumerate(row)),
+        *following(state, moved),
+        "k += 1",
+    ]
+
+
+def follow_tick(tracer: Tracer, loop: Loop, state: tuple[Any, ...]) -> tuple[tuple[Any, ...], Any]:
+    """Follow a tick of a run.
+
+    Args:
+        tracer: writes its lines.
+        loop: the run, after a tick.
+        state: its state.
+
+    Returns:
+        What the tick records and the next state, of symbols.
+    """
     run: Any = Holder(tracer, loop, ())
     symbols = with_numbers(state, (Symbol(tracer, f"s{i}") for i in range(10**9)))
     put_state(run, symbols)
     run.plant.changes = ()  # the ticks in which the robot changes are not run by the source
-    joints = loop.observer.model.joints
     time_ns = Symbol(tracer, "time_ns")
     row, u, d = run.act(time_ns)
     run.plant.step(time_ns, u, d)
-    return [
-        *(f"columns[{i // joints}, k, {i % joints}] = {literal(x)}" for i, x in enumerate(row)),
-        *following(state, state_of(run)),
-        "k += 1",
-    ]
+    return row, state_of(run)
+
+
+def changed_numbers(state: Any, moved: Any) -> dict[str, str]:
+    """Return what becomes of the numbers of a state, by name, as source; of those that change.
+
+    Raises:
+        NotCompilable: the next state has another structure.
+    """
+    if shape(moved) != shape(state):
+        raise NotCompilable("what a component remembers changes its structure from tick to tick")
+    found = {f"s{i}": literal(x) for i, x in enumerate(numbers(moved))}
+    return {name: text for name, text in found.items() if text != name}
 
 
 def following(state: Any, moved: Any) -> list[str]:
@@ -244,10 +290,7 @@ def following(state: Any, moved: Any) -> list[str]:
     Raises:
         NotCompilable: it has another structure.
     """
-    if shape(moved) != shape(state):
-        raise NotCompilable("what a component remembers changes its structure from tick to tick")
-    found = {f"s{i}": literal(x) for i, x in enumerate(numbers(moved))}
-    changed = {name: text for name, text in found.items() if text != name}
+    changed = changed_numbers(state, moved)
     return [
         *(f"next_{name} = {text}" for name, text in changed.items()),
         *(f"{name} = next_{name}" for name in changed),

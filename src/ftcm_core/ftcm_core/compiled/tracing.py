@@ -29,7 +29,7 @@ UNCHECKED = {"isfinite", "isnan", "isinf", "copysign", "atan2", "hypot", "floor"
 """Functions of :mod:`math` that mean the same compiled."""
 
 MANY_LINES = 150
-"""A robot's method that writes more lines than that becomes a function of the source."""
+"""A robot's method that writes more lines than that becomes a function of the source, if it is compiled."""
 DYNAMICS = {
     "inverse_dynamics", "forward_dynamics", "gravity", "inertia_torque", "inertia_acceleration",
     "inertia_rate_torque",
@@ -97,8 +97,13 @@ for _name, _sign in {"lt": "<", "le": "<=", "gt": ">", "ge": ">=", "eq": "==", "
 class Tracer:
     """Runs functions on symbols and keeps the lines they write."""
 
-    def __init__(self) -> None:
-        """Start with nothing written."""
+    def __init__(self, many_lines: int = MANY_LINES) -> None:
+        """Start with nothing written.
+
+        Args:
+            many_lines: a robot's method that writes more lines than that becomes a function of the source.
+        """
+        self._many_lines = many_lines
         self.lines: list[str] = []
         self.leaves: dict[types.FunctionType, str] = {}
         """Functions of plain floats that the source calls, and their names there."""
@@ -189,7 +194,7 @@ class Tracer:
             result = self.follow(function)(stand, *with_numbers(arguments, iter(formal)))
             lines, (self.lines, self._written) = self.lines, outer
             self._apart[key] = None
-            if len(lines) > MANY_LINES and not any(line.endswith(": break") for line in lines):
+            if len(lines) > self._many_lines and not any(line.endswith(": break") for line in lines):
                 name = f"block{len(self.blocks)}"
                 returned = ", ".join(map(literal, numbers(result)))
                 self.blocks.append((name, len(given), [*lines, f"return ({returned},)"]))

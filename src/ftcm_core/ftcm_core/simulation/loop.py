@@ -16,6 +16,7 @@ tick k, t_k = k*dt (k an integer, time an integer number of nanoseconds, never a
 from __future__ import annotations
 
 from array import array
+from bisect import bisect_left
 from collections.abc import Callable, Sequence
 from typing import Any
 
@@ -32,6 +33,7 @@ from ftcm_core.simulation.stages import (
     InjectorStage,
     ObserverStage,
     PlantStage,
+    robot_changes,
 )
 
 
@@ -158,34 +160,46 @@ def simulate(
     scenario: Scenario,
     changes: Sequence[Change] = (),
     progress: Callable[[int, int], None] | None = None,
+    *,
+    written: bool = True,
 ) -> Trace:
     """Run a scenario in process.
 
     Args:
         scenario: what to run.
         changes: controllers, observers or detectors to swap in, faults to arm or clear, each with its tick.
-        progress: called about every 1000 ticks with the ticks done and the last tick.
+        progress: called every 1000 ticks with the ticks done and the last tick.
+        written: whether many ticks are run by one function written of them
+            (:mod:`ftcm_core.compiled.written`), where that is possible; every bit is the same.
 
     Returns:
         The trace; a run that diverges or exceeds a limit ends there, with its status and the time.
     """
+    from ftcm_core.compiled.written import Ahead  # which is made of this loop
+
     loop = Loop(scenario)
     swaps: dict[int, list[Change]] = {}
     for change in changes:
         swaps.setdefault(change.tick, []).append(change)
     dt_ns, last = scenario.dt_ns, scenario.last_tick
+    exchanges = sorted({*swaps, *(time_ns // dt_ns for time_ns, _ in robot_changes(scenario)), last})
     rows = array("d")
-    tick, record = loop.tick, rows.extend
+    ahead = Ahead(loop, rows)
     reason, k = "", 0
-    for k in range(last + 1):
-        if k in swaps:
-            for change in swaps[k]:
+    while True:
+        if k in exchanges:
+            for change in swaps.get(k, ()):
                 loop.change(change, k * dt_ns)
-        reason = tick(k * dt_ns, k == last, record)
-        if reason:
+            ahead.forget()
+        reason = loop.tick(k * dt_ns, k == last, rows.extend)
+        if reason or k == last:
             break
         if progress and k % 1000 == 0:
             progress(k, last)
+        k += 1
+        end = exchanges[bisect_left(exchanges, k)]
+        if written and k < end:
+            k = ahead.run(k, min(end, k + 1000 - k % 1000), end)
     ended = loop.ended(k * dt_ns, reason)
     loop.look_at_faults(k * dt_ns)
     events = tuple(loop.fault_events)
