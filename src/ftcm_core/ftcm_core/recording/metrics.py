@@ -114,12 +114,15 @@ def torque_total_variation(trace: Trace, rows: slice) -> Array:
 
 
 def torque_high_frequency_rms(trace: Trace, rows: slice) -> Array:
-    """Root mean square of the commanded torque's content above 50 Hz, N·m (Hann window, mean removed)."""
+    """Root mean square of the commanded torque's content above 50 Hz, N·m (Hann window, mean removed).
+
+    Zeros are added up to a length that is transformed fast.
+    """
     u = trace.command[rows]
-    n = len(u)
-    taper, energy = _hann(n)
+    taper, energy = _hann(len(u))
     columns = np.ascontiguousarray(u.T) - _mean(trace, u)[:, None]
-    power = np.abs(np.fft.rfft(columns * taper, axis=1)) ** 2
+    n = _fast_length(len(u))
+    power = np.abs(np.fft.rfft(columns * taper, n, axis=1)) ** 2
     if n % 2 == 0:
         power[:, -1] /= 2.0  # the Nyquist line stands for itself alone, all others for two
     high = power[:, np.fft.rfftfreq(n, trace.dt) > HIGH_FREQUENCY]
@@ -168,6 +171,13 @@ def _hann(n: int) -> tuple[Array, float]:
     """Hann window of n values, and the sum of its squares."""
     taper = 0.5 - 0.5 * np.cos(2.0 * np.pi * np.arange(n) / n)
     return taper, np.sum(taper**2)
+
+
+@functools.lru_cache(maxsize=len(WINDOWS) + 1)
+def _fast_length(n: int) -> int:
+    """Smallest length of at least n without prime factors beyond 5."""
+    products = (5**a * 3**b for a in range(n.bit_length()) for b in range(n.bit_length()))
+    return min(odd << max(0, (-(-n // odd) - 1).bit_length()) for odd in products)
 
 
 METRICS: dict[str, tuple[Callable[[Trace, slice], Array], str]] = {
