@@ -114,3 +114,66 @@ def test_a_dead_port_of_no_domain_is_removed_once_it_is_old(tmp_path: Path, age:
     make(tmp_path, *files, age=age)
     remove_dead_shared_memory(DOMAIN, tmp_path)
     assert left(tmp_path) == (files if stays else set())
+
+
+def test_a_port_of_no_domain_stays_while_any_process_is_there(tmp_path: Path) -> None:
+    """It may be about to open it."""
+    files = {"fastrtps_port7012", "sem.fastrtps_port7012_mutex", "fastrtps_00000000000000bb_el"}
+    make(tmp_path, *files)
+    with (tmp_path / "fastrtps_00000000000000bb_el").open() as segment:
+        fcntl.flock(segment, fcntl.LOCK_EX)
+        assert remove_dead_shared_memory(DOMAIN, tmp_path) == []
+    assert set(remove_dead_shared_memory(DOMAIN, tmp_path)) == files
+
+
+LOSES_A_PORT = """
+import os
+from pathlib import Path
+import rclpy
+from ftcm_ros.transport import joining
+from ftcm_ros.transport.domain import lost_ports
+
+create, made, lost = joining.Node, [], []
+
+def create_and_lose(*given, **named):
+    made.append(create(*given, **named))
+    assert lost_ports() == []
+    links = [os.readlink(f) for f in Path("/proc/self/fd").glob("*") if f.is_symlink()]
+    locks = sorted(link for link in links if "fastrtps_port" in link)
+    if len(made) <= int(os.environ["TIMES"]):
+        # As another process does that takes it to be nobody's: its lock, or its segment.
+        os.unlink(locks[-1] if len(made) % 2 else locks[0].removesuffix("_el"))
+        lost.append(len(lost_ports()))
+    return made[-1]
+
+joining.Node = create_and_lose
+try:
+    node = joining.join_as("unheard")
+    print(len(made), lost, lost_ports())
+    node.destroy_node()
+except joining.JoinError as error:
+    print(len(made), lost, error)
+rclpy.shutdown()
+"""
+
+
+@pytest.mark.parametrize(
+    ("times", "said"),
+    [
+        (0, "1 [] []"),
+        (2, "3 [1, 1] []"),
+        (9, "5 [1, 1, 1, 1, 1] cannot join the ROS graph: other processes "),
+    ],
+)
+def test_a_node_whose_port_was_removed_is_made_anew(domain: int, times: int, said: str) -> None:
+    """No message would reach it, and nothing would say so."""
+    done = subprocess.run(
+        [sys.executable, "-c", LOSES_A_PORT],
+        env={**os.environ, "TIMES": str(times)},
+        capture_output=True,
+        text=True,
+        timeout=60,
+        check=False,
+    )
+    assert done.returncode == 0, done.stderr
+    assert done.stdout.startswith(said)

@@ -176,7 +176,7 @@ def _hann(n: int) -> tuple[Array, float]:
 @functools.lru_cache(maxsize=len(WINDOWS) + 1)
 def _fast_length(n: int) -> int:
     """Smallest length of at least n without prime factors beyond 5."""
-    products = (5**a * 3**b for a in range(n.bit_length()) for b in range(n.bit_length()))
+    products: list[int] = [5**a * 3**b for a in range(n.bit_length()) for b in range(n.bit_length())]
     return min(odd << max(0, (-(-n // odd) - 1).bit_length()) for odd in products)
 
 

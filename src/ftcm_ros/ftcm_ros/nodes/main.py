@@ -16,7 +16,7 @@ from ftcm_core.errors import FtcmError
 from ftcm_ros.nodes.parent import end_with_parent, take_signals
 from ftcm_ros.nodes.suite_node import SuiteNode
 from ftcm_ros.timing import scheduling
-from ftcm_ros.transport.joining import join, joining
+from ftcm_ros.transport.joining import join, made
 
 STOP_LIMIT = 30
 """How long a node that was asked to stop may take; a signal ends it then, s."""
@@ -48,9 +48,8 @@ def run(make: Callable[[], SuiteNode | Sequence[SuiteNode]], name: str = "ftcm_r
     try:
         take_signals()
         join()
-        with joining():
-            made = make()
-        nodes = [made] if isinstance(made, SuiteNode) else [*made]
+        found = made(make)
+        nodes = [found] if isinstance(found, SuiteNode) else [*found]
         spin(nodes)
     except KeyboardInterrupt:
         return 130

@@ -81,17 +81,20 @@ def remove_dead_shared_memory(domain: int, folder: Path = Path("/dev/shm")) -> l
     """Remove Fast DDS's shared-memory files of processes that were killed.
 
     Args:
-        domain: a domain held by the caller: its ports, and those of no domain, that nobody listens on go.
+        domain: a domain held by the caller: its ports that nobody listens on go. So do those of no domain, if
+            no process at all uses Fast DDS's shared memory.
         folder: where shared memory is.
 
     Returns:
         Names of the files removed. What a process is using has its lock held and stays.
     """
     removed = []
+    # A process that opens a port holds its segment's lock, and not yet the port's.
+    alone = all(_is_free(lock) for lock in folder.glob(f"fastrtps_{'[0-9a-f]' * 16}_el"))
     for path in sorted(folder.glob("*fastrtps_*")):
         port = _port(path)
         segment = re.fullmatch(r"fastrtps_([0-9a-f]{16})(?:_el)?", path.name)
-        shared = port in SHARED_PORTS
+        shared = port in SHARED_PORTS and alone
         if shared or port in ports_of(domain):
             locks = [folder / f"fastrtps_port{port}{kind}" for kind in ("_el", "_sl")]
         elif segment:
@@ -120,6 +123,34 @@ def has_new_ports(domain: int, folder: Path = Path("/dev/shm")) -> bool:
     return False
 
 
+def lost_ports(folder: Path = Path("/dev/shm")) -> list[int]:
+    """Return this process's shared-memory ports in which no message arrives.
+
+    Where processes begin while others end, it happens that one of them removes a port that another has just
+    opened (Fast DDS 2.14.5): messages for it then go elsewhere, and nothing says so.
+
+    Args:
+        folder: where shared memory is.
+    """
+    open_files = (_link(file) for file in Path("/proc/self/fd").glob("*"))
+    locks = [re.fullmatch(rf"{folder}/fastrtps_port(\d+)_el( \(deleted\))?", name) for name in open_files]
+    held = {int(lock[1]): not lock[2] for lock in locks if lock}
+    if not held:
+        return []
+    lines = Path("/proc/self/maps").read_text("utf-8").splitlines()
+    mapped = {line.split(maxsplit=5)[5]: int(line.split()[4]) for line in lines if "/fastrtps_port" in line}
+    lost = []
+    for port, locked in sorted(held.items()):
+        segment = folder / f"fastrtps_port{port}"
+        try:
+            there = segment.stat().st_ino == mapped.get(str(segment))
+        except FileNotFoundError:
+            there = False
+        if not (locked and there):
+            lost.append(port)
+    return lost
+
+
 def ports_of(domain: int) -> range:
     """Ports of a domain."""
     return range(PORT_BASE + PORT_GAIN * domain, PORT_BASE + PORT_GAIN * (domain + 1))
@@ -129,6 +160,14 @@ def _port(path: Path) -> int:
     """Number of the port that a file in shared memory belongs to; -1 if it is none's."""
     port = re.fullmatch(r"(?:sem\.)?fastrtps_port(\d+)(?:_el|_sl|_mutex)?", path.name)
     return int(port.group(1)) if port else -1
+
+
+def _link(file: Path) -> str:
+    """What an open file is; empty if it is closed meanwhile."""
+    try:
+        return os.readlink(file)
+    except OSError:
+        return ""
 
 
 def _is_free(lock: Path) -> bool:

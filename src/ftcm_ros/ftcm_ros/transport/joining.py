@@ -6,8 +6,9 @@ from __future__ import annotations
 import contextlib
 import os
 import warnings
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
+from typing import TypeVar
 
 import rclpy
 from rclpy.impl.implementation_singleton import rclpy_implementation as _rclpy
@@ -15,7 +16,12 @@ from rclpy.node import Node
 from rclpy.signals import SignalHandlerOptions
 
 from ftcm_core.errors import FtcmError
+from ftcm_ros.transport.domain import lost_ports
 from ftcm_ros.transport.network import PROFILES, enclave, secured, set_defaults
+
+T = TypeVar("T")
+TRIES = 5
+"""How often ports are opened before a process gives up (chosen)."""
 
 
 class JoinError(FtcmError):
@@ -70,5 +76,33 @@ def join_as(name: str, profiles: Path = PROFILES) -> Node:
         JoinError: ROS cannot start as the environment asks.
     """
     join(["--ros-args", *enclave(name)], profiles)
+    return made(lambda: rclpy.create_node(name))
+
+
+def made(make: Callable[[], T]) -> T:
+    """Make the nodes of this process where messages arrive.
+
+    The first node of a process opens its shared-memory ports, and the last one closes them. So a node without
+    anything is made, again while a port is lost, and the others beside it.
+
+    Args:
+        make: makes all of them.
+
+    Raises:
+        JoinError: ROS cannot start as the environment asks, or ports are lost however often opened.
+    """
     with joining():
-        return rclpy.create_node(name)
+        for _ in range(TRIES):
+            first = Node(
+                "_joining", use_global_arguments=False, enable_rosout=False, start_parameter_services=False
+            )
+            if not (lost := lost_ports()):
+                nodes = make()
+                first.destroy_node()
+                return nodes
+            first.destroy_node()
+    ports = ", ".join(map(str, lost))
+    raise JoinError(
+        f"cannot join the ROS graph: other processes have removed its shared-memory ports ({ports}), {TRIES} "
+        "times; start it again when fewer ROS processes begin and end"
+    )
