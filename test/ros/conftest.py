@@ -28,14 +28,15 @@ try:
 except ImportError:  # the test modules skip themselves, with the reason
     rclpy = None
 
+from domains import OWN_DOMAINS, WORKERS, free_domain
 from ftcm_core.errors import FtcmError
 from ftcm_ros.transport.domain import Domain, ports_of
 from ftcm_ros.transport.network import PROFILES
-from domains import OWN_DOMAINS, WORKERS, free_domain
 from programs import program
 
 HANG_SECONDS = 120.0
 """Generous ceiling that catches hangs."""
+
 
 @pytest.fixture
 def domain(monkeypatch: pytest.MonkeyPatch) -> int:

@@ -3,8 +3,8 @@
 
 A block of a page is one of these:
 
-- a file, if its first line is a comment with nothing but a name: ``# my_law.py``, ``<!-- my_arm.urdf -->``; or what
-  is added to its end: ``# my_law.py, continued``;
+- a file, if its first line is a comment with nothing but a name: ``# my_law.py``, ``<!-- my_arm.urdf -->``;
+  or what is added to its end: ``# my_law.py, continued``;
 - commands for a shell, if it names no language;
 - Python of a notebook, ``python``: the value of the last line is shown, if it has one;
 - ``text``: all that the block above has printed; a line ``...`` stands for any lines that are left out.
@@ -76,9 +76,9 @@ def blocks_of(page: str) -> list[Block]:
 def difference(shown: str, printed: str) -> str:
     """Return what of a shown output was not printed; empty if all of it was, and nothing else.
 
-    Numbers agree if they differ by no more than one in the last place shown, or :data:`REPEATS`. Whole numbers must
-    be equal, but for those of three digits, to which tables round: they may differ by one. How many spaces there
-    are does not matter, nor how long the line below a table's head is.
+    Numbers agree if they differ by no more than one in the last place shown, or :data:`REPEATS`. Whole
+    numbers must be equal, but for those of three digits, to which tables round: they may differ by one. How
+    many spaces there are does not matter, nor how long the line below a table's head is.
     """
     lines = _trimmed(printed)
     runs: list[list[str]] = [[]]
@@ -156,7 +156,9 @@ class Reader:
         for block in blocks_of(page.read_text("utf-8")):
             where = f"{page.name}:{block.line}"
             if block.kind in ("file", "more"):
-                with (self.folder / block.name).open("a" if block.kind == "more" else "x") as file:
+                path = self.folder / block.name
+                assert path.exists() == (block.kind == "more"), f"{where}: {block.name} is there, or is not"
+                with path.open("a", encoding="utf-8") as file:
                     file.write(block.text)
                 printed = None
             elif block.kind == "text":
@@ -183,7 +185,8 @@ class Reader:
                 stdin=subprocess.PIPE, stdout=subprocess.PIPE,
             )  # fmt: skip
         told, answers = self._notebook.stdin, self._notebook.stdout
-        assert told and answers
+        assert told
+        assert answers
         print(json.dumps(code), file=told, flush=True)
         printed, failed = json.loads(answers.readline())
         return printed, failed
