@@ -166,10 +166,11 @@ class Reader:
                 missing = difference(block.text, printed)
                 assert not missing, f"{where}: not printed as it is shown:\n{missing}\nbut:\n{printed}"
             else:
-                printed, failed = (self._type if block.kind == "commands" else self._run)(block.text)
+                printed, failed = (self.type if block.kind == "commands" else self._run)(block.text)
                 assert not failed, f"{where}: {failed}\n{block.text}\n{printed}"
 
-    def _type(self, commands: str) -> tuple[str, str]:
+    def type(self, commands: str) -> tuple[str, str]:
+        """Type commands; return what they print, and how they fail, empty if they do not."""
         done = subprocess.run(
             ["bash", "-eu", "-o", "pipefail", "-c", commands],
             cwd=self.folder, env=self.environment, stdin=subprocess.DEVNULL, text=True, timeout=HANG_SECONDS,
