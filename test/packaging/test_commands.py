@@ -87,7 +87,7 @@ NOT_RUN = {
     "watch": "needs a graph that is on: test/ros/test_watch.py, test/ros/test_viewer.py",
     "reproduce": "its tutorial is followed by test_tutorials.py",
     "tune config/": "has 128 runs held out, however few the trials; a smaller one is in test_tutorials.py",
-    "campaign config/suites/": "has many laws to compile; test/core/test_contenders.py runs some draws of each",
+    "campaign config/suites/": "many laws to compile; test/core/test_contenders.py runs some draws of each",
     "--cluster": "needs the machines: test/core/test_cluster.py",
     "--params results/": "of a tuning that is not run here",
     "simulate --engine": "names an option only",
