@@ -6,12 +6,14 @@ The pages are written for a viewer of repositories; nothing in them is for the s
 
 from __future__ import annotations
 
+import posixpath
 import re
 from pathlib import Path
 from typing import Any
 
 import latex2mathml.converter
 from mkdocs.structure.files import File, Files
+from mkdocs.structure.pages import Page
 
 ROOT = Path(__file__).resolve().parents[1]
 MATH = re.compile(r"^```math\n(.*?)^```$", re.MULTILINE | re.DOTALL)
@@ -29,9 +31,15 @@ def on_files(files: Files, config: Any) -> Files:
     return files
 
 
-def on_page_markdown(markdown: str, **_: Any) -> str:
+def on_page_markdown(markdown: str, page: Page, **_: Any) -> str:
     """Formulas become MathML, which browsers draw by themselves; links out of docs/ name the file."""
-    text = LINK.sub(lambda found: found[0] if found[2] in _known else f"{found[1]} (`{found[2]}`)", markdown)
+    folder = posixpath.dirname(page.file.src_uri)
+
+    def linked(found: re.Match[str]) -> str:
+        inside = posixpath.normpath(posixpath.join(folder, found[2])) in _known
+        return found[0] if inside else f"{found[1]} (`{found[2]}`)"
+
+    text = LINK.sub(linked, markdown)
     return MATH.sub(lambda found: formula(found[1]), text)
 
 

@@ -12,14 +12,16 @@ from pathlib import Path
 
 import pytest
 
-from plugins import registry_kept
 from programs import program
 
 ROOT = Path(__file__).resolve().parents[2]
 DOCS = ROOT / "docs"
 PAGES = sorted(
-    [*DOCS.glob("*.md"), ROOT / "README.md", ROOT / "CONTRIBUTING.md", DOCS / "template/README.md"]
-)
+    [
+        *DOCS.glob("*.md"), *DOCS.glob("tutorials/*.md"), ROOT / "README.md", ROOT / "CONTRIBUTING.md",
+        DOCS / "template/README.md",
+    ]
+)  # fmt: skip
 PACKAGES = {name: ROOT / "src" / name / name for name in ("ftcm_core", "ftcm_ros")}
 TOPS = ("src/ftcm_core", "src/ftcm_ros", "tools", "config", "docker", "test", "docs")
 """What the picture of the folders shows, with all folders in it."""
@@ -164,57 +166,12 @@ def first_block(page, language, word):
     return next(text for kind, text in blocks if kind == language and word in text)
 
 
-@pytest.mark.parametrize(
-    ("page", "head", "name"),
-    [
-        (
-            DOCS / "first_steps.md",
-            "from ftcm_core.controllers import AccelerationLaw\nfrom ftcm_core.params import param\n"
-            "from ftcm_core.registry import register\n",
-            "pd_plus",
-        ),
-        (DOCS / "extending.md", "", "my_pd"),
-    ],
-)
-def test_the_first_example_of_a_controller_runs(page, head, name, tmp_path):
-    from ftcm_core.registry import load_plugin
-    from ftcm_core.scenario import load
-    from ftcm_core.simulation import simulate
-
-    file = tmp_path / "my_laws.py"
-    file.write_text(head + first_block(page, "python", "@register"), encoding="utf-8")
-    with registry_kept():
-        load_plugin(str(file))
-        trace = simulate(load("paper", ["duration=3"], controller=name))
-    assert trace.status == "completed"
-    assert abs(trace.error[-1]).max() < 0.1 * abs(trace.error[0]).max()
-
-
 def test_the_notebook_of_the_first_steps_runs():
     pytest.importorskip("matplotlib")
     pytest.importorskip("pandas", reason="pandas is not installed (pip install pandas)")
     found = {}
     exec(first_block(DOCS / "first_steps.md", "python", "simulate("), found)
     assert list(found["table"].index[[0, -1]]) == [0.0, 20.0]
-
-
-@pytest.mark.slow
-@pytest.mark.ros
-def test_a_bag_is_read_in_the_notebook_of_the_first_steps(tmp_path, monkeypatch):
-    pytest.importorskip("rclpy", reason="ROS 2 (rclpy) is not installed")
-    pytest.importorskip("matplotlib")
-    pytest.importorskip("pandas", reason="pandas is not installed (pip install pandas)")
-    options = ["--controllers", "ftcm", "--set", "duration=2", "--name", "test", "--no-figures"]
-    run([*program("experiment"), "paper", *options, "--set", "injection.faults=[]"], tmp_path, os.environ)
-    (tmp_path / "mybag").symlink_to(tmp_path / "runs/test/bags/ftcm")
-    monkeypatch.chdir(tmp_path)
-    *lines, largest = first_block(DOCS / "first_steps.md", "python", "read_bag(").strip().splitlines()
-    found = {}
-    exec("\n".join(lines), found)
-    assert found["bag"].missing == {}
-    peaks = eval(largest.partition("#")[0], found)
-    assert peaks[0.0] > 1e-3 > peaks[1.0]
-    assert list(peaks.index) == [0.0, 1.0, 2.0]
 
 
 # ---- the template ----

@@ -29,14 +29,16 @@ def site(root, tmp_path_factory):
 
 
 def test_every_page_is_there_and_reached(root, site):
-    pages = {"index", *(p.stem for p in (root / "docs").glob("*.md"))}
-    assert pages == {p.stem for p in site.glob("*.html")} - {"404"}
+    docs = root / "docs"
+    shown = (*docs.glob("*.md"), *docs.glob("tutorials/*.md"))
+    pages = {"index", *(str(p.relative_to(docs).with_suffix("")) for p in shown)}
+    assert pages == {str(p.relative_to(site).with_suffix("")) for p in site.rglob("*.html")} - {"404"}
     first = (site / "index.html").read_text("utf-8")
     assert not [page for page in pages if f'href="{page}.html"' not in first and page != "index"]
 
 
 def test_nothing_is_fetched_from_elsewhere(site):
-    for page in site.glob("*.html"):
+    for page in site.rglob("*.html"):
         assert not FETCHED.search(page.read_text("utf-8")), page
 
 

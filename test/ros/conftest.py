@@ -4,7 +4,6 @@
 from __future__ import annotations
 
 import os
-import random
 import signal
 import subprocess
 import time
@@ -29,29 +28,14 @@ try:
 except ImportError:  # the test modules skip themselves, with the reason
     rclpy = None
 
+from domains import OWN_DOMAINS, WORKERS, free_domain
 from ftcm_core.errors import FtcmError
-from ftcm_ros.transport.domain import DOMAINS, Domain, ports_of
+from ftcm_ros.transport.domain import Domain, ports_of
 from ftcm_ros.transport.network import PROFILES
 from programs import program
 
 HANG_SECONDS = 120.0
 """Generous ceiling that catches hangs."""
-
-_WORKER = int(os.environ.get("PYTEST_XDIST_WORKER", "gw0").removeprefix("gw"))
-_WORKERS = int(os.environ.get("PYTEST_XDIST_WORKER_COUNT", "1"))
-_OWN_DOMAINS = DOMAINS[_WORKER::_WORKERS]
-"""No domain is used by two workers of pytest-xdist: until a test's run has taken it, it is free to all."""
-
-
-def free_domain() -> int:
-    """A domain of this worker's that nobody on this machine uses."""
-    for number in random.sample(_OWN_DOMAINS, len(_OWN_DOMAINS)):
-        try:
-            Domain(number).release()  # an experiment that is told this number takes it itself
-        except FtcmError:  # in use
-            continue
-        return number
-    pytest.fail("no domain is free")
 
 
 @pytest.fixture
@@ -79,7 +63,7 @@ def shared_memory(domain: int) -> Callable[[], list[str]]:
 def _nothing_left_in_shared_memory() -> Iterator[None]:
     """Killed nodes leave shared-memory files: remove those of every domain that is free."""
     yield
-    for number in _OWN_DOMAINS:
+    for number in OWN_DOMAINS:
         try:
             Domain(number).release()
         except FtcmError:
@@ -248,7 +232,7 @@ def start(tmp_path: Path) -> Iterator[Callable[..., subprocess.Popen[str]]]:
     started: list[subprocess.Popen[str]] = []
 
     def run(name: str, *arguments: str) -> subprocess.Popen[str]:
-        if _WORKERS > 1 and name == "experiment" and not {"--domain-id", "--external-nodes"} & {*arguments}:
+        if WORKERS > 1 and name == "experiment" and not {"--domain-id", "--external-nodes"} & {*arguments}:
             arguments += ("--domain-id", str(free_domain()))
         # What this process has set for its own nodes is no setting of the user's.
         environment = {k: v for k, v in os.environ.items() if k != "FASTRTPS_DEFAULT_PROFILES_FILE"}

@@ -387,6 +387,7 @@ def test_nodes_that_somebody_else_starts(
         (["paper", "--controllers", "smc", "smc"], "each may be named once"),
         (["paper", "--draws", "2"], "--draws 2: 'paper' is a scenario; expected a campaign file"),
         (["paper", "--set", "observer.k1=-1"], "observer.k1: -1 is out of range"),
+        (["--set", "duration=1", "observer.k1=-1", "paper"], "observer.k1: -1 is out of range"),
         (["paper", "--set", "observer.type=none", "--controllers", "ftcm"], "uses the disturbance estimate"),
         (["paper", "--plugin", "nowhere.py"], "plug-in 'nowhere.py': no such file"),
         (["paper", "--domain-id", "999"], "domain 999 is out of range"),

@@ -36,12 +36,16 @@ from ftcm_ros.run import drive, experiment, fault, watch
 from ftcm_ros.run.launching import EXPERIMENT_ARGUMENTS, NODE_ARGUMENTS, VIEWER_ARGUMENTS
 from ftcm_ros.viewer import markers
 from traces import same
+from tutorials import blocks_of
 
 pytestmark = pytest.mark.ros
 
 ROOT = Path(__file__).resolve().parents[2]
 DOCS = ROOT / "docs"
-PAGES = [ROOT / "README.md", *sorted(DOCS.glob("*.md")), DOCS / "template/README.md"]
+PAGES = [
+    ROOT / "README.md", *sorted(DOCS.glob("*.md")), *sorted(DOCS.glob("tutorials/*.md")),
+    DOCS / "template/README.md",
+]  # fmt: skip
 BLOCK = re.compile(r"^```(\w*)\n(.*?)^```$", re.MULTILINE | re.DOTALL)
 HANG_SECONDS = 120.0
 """Generous ceiling that catches hangs."""
@@ -60,7 +64,8 @@ needs_ros2 = pytest.mark.skipif(
 def lines_of(page: Path, word: str = "") -> list[str]:
     """The shell lines in the code blocks of a page that have a word in them, without comments."""
     blocks = [text for language, text in BLOCK.findall(page.read_text("utf-8")) if not language]
-    lines = [line for text in blocks if word in text for line in text.splitlines()]
+    shown = [re.sub(r" *\\\n *", " ", text) for text in blocks if word in text]
+    lines = [line for text in shown for line in text.splitlines()]
     return [re.sub(r"(^| +)#.*", "", line.removeprefix("$ ")) for line in lines]
 
 
@@ -432,14 +437,13 @@ def test_a_controller_outside_the_composition(shell: Shell) -> None:
 @pytest.mark.slow
 def test_the_example_of_a_plug_in(shell: Shell) -> None:
     """The commands of extending.md: run, analysed without the plug-in, which is one line, and with it."""
-    text = (DOCS / "extending.md").read_text("utf-8")
-    code = next(block for language, block in BLOCK.findall(text) if language == "python")
-    (shell.folder / "my_laws.py").write_text(code, "utf-8")
-    run, *analyses = [c for c in commands_of(DOCS / "extending.md") if "my_laws" in c or "my_pd" in c]
+    code = blocks_of((DOCS / "tutorials/law.md").read_text("utf-8"))[0]
+    (shell.folder / code.name).write_text(code.text, "utf-8")
+    run, *analyses = [c for c in commands_of(DOCS / "extending.md") if code.name in c or "spring" in c]
     shell(f"{run} --set duration=0.5 --no-figures --name p --domain-id $ROS_DOMAIN_ID")
     without, given = analyses
     refused = shell.attempt(without)
     assert refused.returncode == 2
-    assert "no controller 'my_pd'" in refused.stderr
+    assert "no controller 'spring'" in refused.stderr
     assert "give them with --plugin" in refused.stderr
-    assert "| my_pd" in shell(given)
+    assert "| spring" in shell(given)

@@ -46,7 +46,6 @@ def build_parser() -> argparse.ArgumentParser:
     parser.add_argument(
         "scenario",
         nargs="?",
-        default="paper",
         help="scenario file, or name of a shipped one; or a campaign file, of which the first draws are run",
     )
     parser.add_argument(
@@ -82,7 +81,7 @@ def build_parser() -> argparse.ArgumentParser:
         "default: plain",
     )
     parser.add_argument(
-        "--set", action="append", default=[], metavar="PATH=VALUE", help="e.g. observer.k1=10000"
+        "--set", nargs="+", action="extend", default=[], metavar="PATH=VALUE", help="e.g. observer.k1=10000"
     )
     parser.add_argument(
         "--plugin",
@@ -220,6 +219,8 @@ def run_experiment(options: argparse.Namespace) -> int:
 def main(argv: list[str] | None = None) -> None:
     """Entry point of ``ros2 run ftcm_ros experiment``."""
     options = build_parser().parse_args(argv)
+    if options.scenario is None:  # `--set a=1 paper` means the scenario paper
+        options.scenario = options.set.pop() if options.set and "=" not in options.set[-1] else "paper"
     options.words = sys.argv[1:] if argv is None else argv
     options.stop_requested = False
 

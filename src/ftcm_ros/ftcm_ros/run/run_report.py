@@ -108,6 +108,7 @@ def report(
     print((folder / "table.md").read_text(encoding="utf-8").rstrip())
     for label, verdict in verdicts.items():
         say(f"{label}: {verdict}")
-    say(f"results: {folder}/summary.json, table.md, figures/, bags/")
+    figures = "" if options.no_figures else "figures/, "
+    say(f"results: {folder}/summary.json, table.md, {figures}bags/")
     say(f"report: {folder}/report.html")
     return unreadable + unproved
