@@ -38,7 +38,7 @@ def test_a_run_is_paused_and_goes_on(
     live: Callable[..., Any], watcher: Any, tmp_path: Path, nodes: str, mode: str
 ) -> None:
     """Nobody is blamed for the ticks that do not come; in lockstep the run is that without a pause."""
-    length = 20.0 if mode == "lockstep" else 4.0
+    length = 10.0 if mode == "lockstep" else 4.0
     settings = [f"duration={length}", "injection.faults.0.start=2"]
     run = live(
         "paper", "--mode", mode, "--controllers", "ftcm", nodes, "--patience", "2",

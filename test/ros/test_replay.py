@@ -199,9 +199,9 @@ HIDDEN = [
             id="controller, long enough for a safe stop",
         ),
         pytest.param(HIDDEN, "controller", 0.08, [], id="controller, hidden", marks=pytest.mark.slow),
-        pytest.param(HIDDEN, "injector", 0.2, [], id="injector, hidden", marks=pytest.mark.slow),
+        pytest.param(HIDDEN, "injector", 0.2, [], id="injector, hidden", marks=pytest.mark.nightly),
         pytest.param(
-            HIDDEN, "controller", 0.08, ["--stages", "compiled"], id="compiled", marks=pytest.mark.slow
+            HIDDEN, "controller", 0.08, ["--stages", "compiled"], id="compiled", marks=pytest.mark.nightly
         ),
     ],
 )

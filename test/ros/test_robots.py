@@ -108,10 +108,10 @@ def test_a_plant_of_another_library_over_the_graph(
     """MuJoCo moves the robot; the run is that in process, and proved by replay. The rest may be compiled."""
     pytest.importorskip("mujoco", reason="the plant is MuJoCo's (pip install mujoco)")
     run = experiment(
-        "paper", "--controllers", "ftcm", "--replay", "--stages", stages, "--set", "duration=6",
+        "paper", "--controllers", "ftcm", "--replay", "--stages", stages, "--set", "duration=2",
         "--set", "plant.type=mujoco",
         "--set", "robot={type: urdf, motor_inertia: [1.14, 4.71, 0.83]}",
-        "--set", "injection.faults.0.start=3",
+        "--set", "injection.faults.0.start=1",
     )  # fmt: skip
     assert run.returncode == 0, run.stderr
     bag = read_bag(tmp_path / "runs" / "test" / "bags" / "ftcm")

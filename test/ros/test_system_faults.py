@@ -137,7 +137,8 @@ ROUNDS = {
     "2 real_time": "observer:exception controller:SIGKILL injector:SIGSTOP "
     "recorder:exception plant:exception observer:SIGKILL",
     "3 real_time": "controller:SIGSTOP controller:hang",
-    "detector lockstep": "detector:SIGKILL detector:exception detector:SIGSTOP detector:hang",
+    "detector lockstep": "detector:SIGKILL detector:hang",
+    "2 detector lockstep": "detector:exception detector:SIGSTOP",
     "quick composed lockstep": "observer:exception controller:SIGKILL",
     "1 composed lockstep": "plant:exception injector:hang controller:exception "
     "observer:SIGSTOP injector:exception observer:hang",
@@ -147,8 +148,8 @@ ROUNDS = {
 }
 """Experiments: a fault in the run of each controller; together each node and fault in both modes."""
 MORE = (
-    "2 lockstep", "2 real_time", "3 real_time", "1 composed lockstep", "2 composed lockstep",
-    "1 composed real_time",
+    "2 lockstep", "2 detector lockstep", "1 real_time", "2 real_time", "3 real_time", "1 composed lockstep",
+    "2 composed lockstep", "1 composed real_time",
 )  # fmt: skip
 MARKS = {name: pytest.mark.nightly for name in MORE} | {"quick composed lockstep": pytest.mark.versions}
 
