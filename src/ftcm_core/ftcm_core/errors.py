@@ -5,7 +5,7 @@ from __future__ import annotations
 
 import difflib
 import reprlib
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 
 _repr = reprlib.Repr()
 _repr.maxstring = _repr.maxother = 60
@@ -68,3 +68,16 @@ def suggestion(name: str, known: Iterable[str]) -> str:
     if len(known) > MOST_NAMES:
         return f"{len(known)} are known, such as {', '.join(known[:MOST_NAMES])}; ftcm list names them"
     return f"known: {', '.join(known)}" if known else "none are known here"
+
+
+def chosen(option: str, text: str, known: Sequence[str]) -> tuple[str, ...]:
+    """Read the words of an option, separated by commas; each counts once.
+
+    Raises:
+        FtcmError: one is not known.
+    """
+    found = tuple(dict.fromkeys(word.strip() for word in text.split(",")))
+    for word in found:
+        if word not in known:
+            raise FtcmError(f"{option} {word!r}: {suggestion(word, known)}")
+    return found

@@ -110,6 +110,10 @@ def _parser() -> argparse.ArgumentParser:
             "--figure-format", default="png", metavar="FORMATS",
             help=f"of the figures: any of {', '.join(FORMATS)}, separated by commas; default: png",
         )  # fmt: skip
+        sub.add_argument(
+            "--export", metavar="FORMATS",
+            help="write the signals of each run too, to --output: csv, parquet or both, separated by a comma",
+        )  # fmt: skip
 
     sub = command(
         "simulate",

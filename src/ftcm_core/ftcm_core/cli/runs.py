@@ -18,6 +18,7 @@ from ftcm_core.cli.output import note, progress
 from ftcm_core.errors import FtcmError, ScenarioError
 from ftcm_core.parallel import run_parallel
 from ftcm_core.recording.metrics import result
+from ftcm_core.recording.table_file import table_formats
 from ftcm_core.recording.trace import Trace
 from ftcm_core.recording.trace_file import save_trace
 from ftcm_core.registry import components, find
@@ -51,6 +52,7 @@ def simulate_command(arguments: argparse.Namespace) -> int:
     overrides[:0] = [*parameter_overrides(arguments.params), *detector_overrides(arguments.detector_file)]
     scenario = load(sources[0], overrides, arguments.controller)
     figure_formats(arguments.figure_format)
+    _tables(arguments)
     folder = new_folder(arguments.output) if arguments.output is not None else None
     label = scenario.controller.type_name
     _warn([(label, scenario)])
@@ -102,6 +104,7 @@ def reproduce_command(arguments: argparse.Namespace) -> int:
 def _run_all(jobs: Sequence[Job], arguments: argparse.Namespace) -> int:
     """Run jobs in parallel, then print and write their results in the order of the jobs."""
     figure_formats(arguments.figure_format)
+    _tables(arguments)
     folder = new_folder(arguments.output) if arguments.output is not None else None
     _warn(jobs)
     found: dict[int, tuple[dict[str, Any], Trace | None]] = {}
@@ -117,6 +120,12 @@ def _run_all(jobs: Sequence[Job], arguments: argparse.Namespace) -> int:
     return 0
 
 
+def _tables(arguments: argparse.Namespace) -> tuple[str, ...]:
+    if arguments.export is not None and arguments.output is None:
+        raise FtcmError("--export needs a folder; expected --output DIR too")
+    return table_formats(arguments.export)
+
+
 def _write(folder: Path, traces: Sequence[tuple[str, Trace]], arguments: argparse.Namespace) -> None:
     """Write the results of runs, and say where the report is."""
     write_results(
@@ -124,6 +133,7 @@ def _write(folder: Path, traces: Sequence[tuple[str, Trace]], arguments: argpars
         traces,
         figures=not arguments.no_figures,
         formats=figure_formats(arguments.figure_format),
+        tables=_tables(arguments),
         background=Background(command=arguments.command),
     )
     note(f"report: {folder / 'report.html'}")

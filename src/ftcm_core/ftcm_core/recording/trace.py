@@ -198,15 +198,16 @@ class Trace:
         need("pandas", "notebook", "a table of pandas")
         import pandas
 
+        return pandas.DataFrame(self.table(), index=pandas.Index(self.time, name="time"))
+
+    def table(self) -> dict[str, Array]:
+        """Return the columns and the errors, one array of shape (ticks,) for each joint: ``error.joint1``."""
         columns = {**self.columns, "error": self.error, "velocity_error": self.velocity_error}
-        return pandas.DataFrame(
-            {
-                f"{name}.{joint}": values[:, j]
-                for name, values in columns.items()
-                for j, joint in enumerate(self.joint_names)
-            },
-            index=pandas.Index(self.time, name="time"),
-        )
+        return {
+            f"{name}.{joint}": values[:, j]
+            for name, values in columns.items()
+            for j, joint in enumerate(self.joint_names)
+        }
 
     def _repr_html_(self) -> str:
         """What a notebook shows of a run: how it ended, and its errors."""

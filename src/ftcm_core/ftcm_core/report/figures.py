@@ -13,7 +13,7 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from ftcm_core.errors import FtcmError, suggestion
+from ftcm_core.errors import chosen
 from ftcm_core.recording.trace import ENDED_EARLY, Array, Trace
 from ftcm_core.report.panels import MISSING, Curve, detail, grid, legend, log_panel, panel, styled, wider
 
@@ -41,16 +41,12 @@ FORMATS = ("png", "svg", "pdf")
 
 
 def figure_formats(text: str) -> tuple[str, ...]:
-    """Read formats that are separated by commas.
+    """Read formats of figures that are separated by commas.
 
     Raises:
         FtcmError: one is not known.
     """
-    found = tuple(dict.fromkeys(word.strip() for word in text.split(",")))
-    for word in found:
-        if word not in FORMATS:
-            raise FtcmError(f"--figure-format {word!r}: {suggestion(word, FORMATS)}")
-    return found
+    return chosen("--figure-format", text, FORMATS)
 
 
 def write_figures(traces: Sequence[Run], folder: Path, formats: Sequence[str] = ("png",)) -> list[Path]:

@@ -16,6 +16,7 @@ from ftcm_core.errors import FtcmError
 from ftcm_core.recording.detection import pooled_scores
 from ftcm_core.recording.metrics import result
 from ftcm_core.recording.provenance import provenance
+from ftcm_core.recording.table_file import write_table
 from ftcm_core.recording.trace import Trace
 from ftcm_core.report.figures import write_figures
 from ftcm_core.report.page.of_runs import NOTHING, Background, runs_page, write_page
@@ -58,11 +59,13 @@ def write_results(
     *,
     figures: bool = True,
     formats: Sequence[str] = ("png",),
+    tables: Sequence[str] = (),
     background: Background = NOTHING,
 ) -> None:
     """Write ``summary.json``, ``table.md``, ``report.html``, the scenarios and ``figures/`` of some runs.
 
-    One run's complete scenario is ``scenario.yaml``; of several, each has ``scenario-<label>.yaml``.
+    One run's complete scenario is ``scenario.yaml``; of several, each has ``scenario-<label>.yaml``. The
+    signals of a run are in ``tables/<label>.csv`` or ``.parquet``, if that is asked for.
 
     Args:
         folder: where to; it is made if it does not exist, files of the same name are replaced.
@@ -71,6 +74,7 @@ def write_results(
         more: what follows the tables in ``table.md``, in Markdown.
         figures: whether to draw the figures.
         formats: their file formats.
+        tables: file formats of the signals, of :data:`~ftcm_core.recording.table_file.TABLE_FORMATS`.
         background: what else ``report.html`` says.
 
     Raises:
@@ -93,6 +97,10 @@ def write_results(
                 name = "scenario" if len(traces) == 1 else f"scenario-{_slug(label)}"
                 files[label] = f"{name}.yaml"
                 (folder / files[label]).write_text(trace.scenario.to_yaml(), encoding="utf-8")
+        for suffix in tables:
+            (folder / "tables").mkdir(exist_ok=True)
+            for label, trace in traces:
+                write_table(folder / "tables" / f"{_slug(label)}.{suffix}", trace)
         write_page(folder, runs_page(summary, traces, files, more, background))
         if figures:
             write_figures(traces, folder / "figures", formats)

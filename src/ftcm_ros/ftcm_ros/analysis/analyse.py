@@ -9,6 +9,7 @@ from collections import Counter
 from pathlib import Path
 
 from ftcm_core.errors import FtcmError
+from ftcm_core.recording.table_file import table_formats
 from ftcm_core.registry import load_plugins
 from ftcm_core.report.figures import FORMATS, figure_formats
 from ftcm_core.report.results import labelled, new_folder, report, to_json, write_results
@@ -58,6 +59,11 @@ def build_parser() -> argparse.ArgumentParser:
         help="exit status 0 for a bag that is not what was recorded; what is damaged is left out in any case",
     )
     parser.add_argument(
+        "--export",
+        metavar="FORMATS",
+        help="write the signals of each run too, to --output: csv, parquet or both, separated by a comma",
+    )
+    parser.add_argument(
         "--replay",
         action="store_true",
         help="run what was recorded again, in process, and compare; exit status 1 if a run differs",
@@ -84,6 +90,9 @@ def analyse(options: argparse.Namespace) -> int:
     load_plugins(options.plugin)
     scenario = load(options.scenario) if options.scenario else None
     formats = figure_formats(options.figure_format)
+    tables = table_formats(options.export)
+    if tables and not options.output:
+        raise FtcmError("--export needs a folder; expected --output DIR too")
     folder = new_folder(options.output) if options.output else None
     bags = [read_bag(path, scenario) for path in options.bags]
     if options.repair:
@@ -117,7 +126,7 @@ def analyse(options: argparse.Namespace) -> int:
     if folder is not None:
         contents = [(label, bag) for (label, _), bag in zip(traces, bags)]
         told = background(("ros2", "run", "ftcm_ros", "analyse", *options.words), contents, samples, proofs)
-        write_results(folder, traces, extra, more, formats=formats, background=told)
+        write_results(folder, traces, extra, more, formats=formats, tables=tables, background=told)
         write_figure(samples, folder / "figures", formats)
         print(f"results: {folder}/summary.json, table.md, figures/", file=sys.stderr)
         print(f"report: {folder}/report.html", file=sys.stderr)

@@ -19,6 +19,7 @@ from pathlib import Path
 from typing import Any
 
 from ftcm_core.errors import FtcmError
+from ftcm_core.recording.table_file import table_formats
 from ftcm_core.registry import load_plugins
 from ftcm_core.report.figures import FORMATS, figure_formats
 from ftcm_core.scenario import load
@@ -126,6 +127,11 @@ def build_parser() -> argparse.ArgumentParser:
         help=f"of the figures: any of {', '.join(FORMATS)}, separated by commas; default: png",
     )
     parser.add_argument(
+        "--export",
+        metavar="FORMATS",
+        help="write the signals of each run too: csv, parquet or both, separated by a comma",
+    )
+    parser.add_argument(
         "--replay",
         action="store_true",
         help="run what was recorded again, in process, and compare; a run that differs has failed",
@@ -142,6 +148,7 @@ def run_experiment(options: argparse.Namespace) -> int:
     if not options.patience >= 2.0:  # nodes speak once a second
         raise FtcmError(f"--patience {options.patience:g} is too short; expected 2 s or more")
     figure_formats(options.figure_format)
+    table_formats(options.export)
     check_speed(options.speed, options.mode)
     load_plugins(options.plugin)
     drawn = first_draws(options.scenario, options.set, options.draws)

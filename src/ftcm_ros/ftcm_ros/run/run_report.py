@@ -7,6 +7,7 @@ import argparse
 from pathlib import Path
 
 from ftcm_core.errors import FtcmError
+from ftcm_core.recording.table_file import table_formats
 from ftcm_core.report.figures import figure_formats
 from ftcm_core.report.results import write_results
 from ftcm_ros.analysis.background import background
@@ -101,7 +102,14 @@ def report(
         ("ros2", "run", "ftcm_ros", "experiment", *options.words), contents, samples, proofs, verdicts
     )
     write_results(
-        folder, traces, extra, more, figures=not options.no_figures, formats=formats, background=told
+        folder,
+        traces,
+        extra,
+        more,
+        figures=not options.no_figures,
+        formats=formats,
+        tables=table_formats(options.export),
+        background=told,
     )
     if not options.no_figures:
         write_figure(samples, folder / "figures", formats)
