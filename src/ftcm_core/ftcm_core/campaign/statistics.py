@@ -4,15 +4,19 @@
 from __future__ import annotations
 
 import math
+import tempfile
+from array import array
 from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
+import numpy.typing as npt
 
 from ftcm_core.campaign.comparison import by_scenario, comparisons
 from ftcm_core.campaign.intervals import median_interval, wilson_interval
 from ftcm_core.recording.detection import pooled_scores
-from ftcm_core.recording.trace import ENDED_EARLY
+from ftcm_core.recording.metrics import METRICS, WINDOWS
+from ftcm_core.recording.trace import ENDED_EARLY, Array
 from ftcm_core.report.table import markdown, pooled_text
 
 QUANTILES = {"median": 0.5, "q05": 0.05, "q95": 0.95}
@@ -27,15 +31,21 @@ MOST_IN_FULL = 3
 
 
 class Statistics:
-    """What is kept of the runs of one contender: a row of numbers each."""
+    """What is kept of the runs of one contender: a row of numbers each, in a temporary file.
+
+    So a campaign takes no more memory the more runs it has; each column is read when its turn comes.
+    """
 
     def __init__(self) -> None:
         self.states: dict[str, int] = {}
         self.engines: dict[str, int] = {}
-        self.columns: dict[tuple[str, str, int], list[float]] = {}
         self.scores: list[dict[str, Any]] = []
-        self.compared: dict[tuple[str, str], dict[int, tuple[float, ...]]] = {key: {} for key in SHOWN}
-        """Of :data:`SHOWN`, values per joint by number of the run."""
+        self._numbers = array("q")
+        """Numbers of the runs that completed."""
+        self._windows = array("B")
+        """Of each, the windows that it had, a bit each."""
+        self._joints = 0
+        self._rows = tempfile.TemporaryFile()  # noqa: SIM115 (open as long as this is there)
 
     def add(self, result: dict[str, Any]) -> None:
         """Count a run, and keep its metrics, and the scores of its detector, if it completed."""
@@ -45,22 +55,54 @@ class Statistics:
             return
         if result.get("detection"):
             self.scores.append(result["detection"])
-        for window, metrics in result["metrics"].items():
-            for metric, values in (metrics or {}).items():
-                numbers = tuple([math.nan if x is None else x for x in values])
-                for joint, x in enumerate(numbers):
-                    self.columns.setdefault((window, metric, joint), []).append(x)
-                if (window, metric) in SHOWN:
-                    self.compared[window, metric][result["run"]] = numbers
+        self._numbers.append(result["run"])
+        self._joints = self._joints or len(result["metrics"]["whole"]["iae"])
+        absent = dict.fromkeys(METRICS, (None,) * self._joints)
+        row, there = array("d"), 0
+        for i, window in enumerate(WINDOWS):
+            metrics = result["metrics"].get(window) or absent
+            there |= (metrics is not absent) << i
+            row.extend([math.nan if x is None else x for metric in METRICS for x in metrics[metric]])
+        self._windows.append(there)
+        row.tofile(self._rows)
+
+    def _with(self, window: str) -> npt.NDArray[np.bool_]:
+        """Which of the completed runs had a window."""
+        return (np.array(self._windows, dtype=np.uint8) >> WINDOWS.index(window) & 1).astype(bool)
+
+    def _values(self, window: str, metric: str) -> Array:
+        """Values of the completed runs that had a window, shape (runs, joints)."""
+        self._rows.flush()
+        shape = (len(self._numbers), len(WINDOWS), len(METRICS), self._joints)
+        table = np.memmap(self._rows, dtype=np.float64, mode="r", shape=shape)
+        return np.array(table[:, WINDOWS.index(window), list(METRICS).index(metric)])[self._with(window)]
+
+    def compared(self) -> dict[tuple[str, str], dict[int, Sequence[float]]]:
+        """Return of :data:`SHOWN` the values per joint by number of the run."""
+        if not self._numbers:
+            return {key: {} for key in SHOWN}
+        numbers = np.array(self._numbers)
+        return {
+            (window, metric): dict(
+                zip(numbers[self._with(window)].tolist(), self._values(window, metric).tolist())
+            )
+            for window, metric in SHOWN
+        }
 
     def summary(self) -> dict[str, Any]:
         """Return shares of statuses and quantiles of the metrics, per joint, with intervals of 95 %."""
         count = sum(self.states.values())
         completed = self.states.get("completed", 0)
         metrics: dict[str, dict[str, dict[str, list[Any]]]] = {}
-        for (window, metric, _), column in self.columns.items():
-            values = np.array(column)
-            values = values[np.isfinite(values)]
+        columns = (
+            (window, metric, column)
+            for window in WINDOWS
+            if self._with(window).any()
+            for metric in METRICS
+            for column in self._values(window, metric).T
+        )
+        for window, metric, column in columns:
+            values = column[np.isfinite(column)]
             entry = metrics.setdefault(window, {}).setdefault(
                 metric, {name: [] for name in (*QUANTILES, "median_95")}
             )
@@ -85,10 +127,10 @@ def summary_of(found: Mapping[str, Statistics], runs: int) -> dict[str, Any]:
         found: by contender.
         runs: number of draws.
     """
-    compared = {name: one.compared for name, one in found.items()}
+    several = len(found) > 1
     return {
         "results": {name: one.summary() for name, one in found.items()},
-        **(comparisons(compared, runs) if len(found) > 1 else {}),
+        **(comparisons({name: one.compared() for name, one in found.items()}, runs) if several else {}),
     }
 
 
