@@ -29,6 +29,7 @@ from rclpy.signals import SignalHandlerOptions
 
 import bench_core as core
 from ftcm_core.errors import FtcmError
+from ftcm_core.extras import has
 from ftcm_core.scenario import load
 from ftcm_core.simulation import simulate
 from ftcm_ros.analysis.timing import by_process
@@ -330,18 +331,19 @@ RATES = {"2 kHz": "dt=0.0005", "4 kHz": "dt=0.00025"}
 
 def real_time_rows(folder: Path, repetitions: int, seconds: float, processes: float) -> list[Row]:
     """The graph at 1 kHz, composed and as processes, beside a bare loop and a bare chain, all in turn."""
-    lengths = {variant: processes if "processes" in variant else seconds for variant in VARIANTS}
+    variants = {k: v for k, v in VARIANTS.items() if "compiled" not in v[0] or has("numba")}
+    lengths = {variant: processes if "processes" in variant else seconds for variant in variants}
     lockstep = {
         s: experiment(folder, f"lockstep{s:g}", "--set", f"duration={s:g}") for s in {seconds, processes}
     }
-    runs: dict[str, list[dict[str, Any]]] = {variant: [] for variant in VARIANTS}
+    runs: dict[str, list[dict[str, Any]]] = {variant: [] for variant in variants}
     loop: list[float] = []
     chain: list[float] = []
     for i in range(repetitions):
         say(f"real time, bare loop and bare chain, repetition {i + 1} of {repetitions}")
         loop.append(bare_loop(round(1000 * seconds)))
         chain.append(bare_real_time(round(1000 * min(seconds, 10.0))))
-        for variant, (arguments, beside, _) in VARIANTS.items():
+        for variant, (arguments, beside, _) in variants.items():
             say(f"real time, {variant}, repetition {i + 1} of {repetitions}")
             name = f"rt{i}{variant.replace(' ', '')}"
             with busy_core() if beside else contextlib.nullcontext():
@@ -351,7 +353,7 @@ def real_time_rows(folder: Path, repetitions: int, seconds: float, processes: fl
         ("bare loop at 1 kHz, the same sleep and no work: missed, %", spread(loop, 3), ""),
         ("bare chain of four processes at 1 kHz, no work, no recorder: missed, %", spread(chain, 2), ""),
     ]
-    for variant, (_, _, aims) in VARIANTS.items():
+    for variant, (_, _, aims) in variants.items():
         length_s = lengths[variant]
         rows += variant_rows(variant, runs[variant], lockstep[length_s], length_s, aims)
     for rate, setting in RATES.items():
