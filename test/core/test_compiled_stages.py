@@ -21,7 +21,7 @@ from ftcm_core.scenario import Scenario, from_mapping, load
 from ftcm_core.scenario.definition import replace
 from ftcm_core.signals import Measurement, TrueDisturbance
 from ftcm_core.simulation import Loop
-from plugins import registry_kept
+from plugins import registry_kept, robots_known, scenario_mapping
 
 pytestmark = pytest.mark.slow
 
@@ -85,6 +85,15 @@ def equals_the_compiled_run(scenario: Scenario) -> str:
 
 @pytest.mark.parametrize("law", [*components("controller")])
 def test_every_law(law: str) -> None:
+    """Of one joint, as in test_compiled.py."""
+    with robots_known():
+        scenario = from_mapping(scenario_mapping("pendulum", controller=law))
+    assert equals_the_compiled_run(scenario).startswith("completed")
+
+
+@pytest.mark.nightly
+@pytest.mark.parametrize("law", [*components("controller")])
+def test_every_law_of_the_paper_s_robot(law: str) -> None:
     assert equals_the_compiled_run(load("paper", FEW_TICKS, law)).startswith("completed")
 
 
