@@ -59,7 +59,7 @@ def parameters(cls: type, bound: float) -> st.SearchStrategy[dict[str, Any]]:
 
 
 def component(kind: str, bound: float) -> st.SearchStrategy[dict[str, Any]]:
-    """Any component of a kind; of the suite's own, so that inputs do not depend on what other tests register."""
+    """Any of the suite's own components of a kind, whatever other tests have registered."""
     return st.one_of(
         [
             parameters(cls, bound).map(lambda p, name=name: {"type": name, **p})
