@@ -83,6 +83,8 @@ def test_a_detector_is_watched_where_there_is_one(lockstep: bool) -> None:
     if lockstep:  # those that wait for the detector's word, or whose last report is a tick old
         last |= {"observer": 1700, "controller": 1700}
         assert culprit_after(lockstep, last, nodes=ALL_NODES) == ("detector", "has made no tick for 3 s")
+        del last["plant"]  # whose report that it has stalled is under way
+        assert culprit_after(lockstep, last, nodes=ALL_NODES) == ("detector", "has made no tick for 3 s")
     silent: dict[str, int | None] = {"detector": None}
     assert culprit_after(lockstep, silent, nodes=ALL_NODES) == ("detector", "has said nothing for 3 s")
 

@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import collections
 import contextlib
 import importlib
 import json
@@ -187,19 +188,19 @@ def run_campaign(
             else:
                 begin(folder, identity)
             lines = stack.enter_context(locked(folder / RUNS))
-        found: dict[str, Statistics] = {}
+        found: dict[str, Statistics] = collections.defaultdict(lambda: Statistics(folder))
         following = 0
         if lines and not resume:
             lines.truncate()
         for result in kept_results(lines, (_identity(campaign, run) for run in runs)) if lines else ():
-            found.setdefault(result["contender"], Statistics()).add(result)
+            found[result["contender"]].add(result)
             following += 1
         if following < len(runs):
             _prepare(campaign, runs, engine, note)
         if progress:
             progress(following, len(runs))
         for result in _results(campaign, runs, following, engine, workers, progress):
-            found.setdefault(result["contender"], Statistics()).add(result)
+            found[result["contender"]].add(result)
             if lines:
                 lines.write((to_json(result) + "\n").encode())
                 lines.flush()

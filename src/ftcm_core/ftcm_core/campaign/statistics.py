@@ -7,6 +7,7 @@ import math
 import tempfile
 from array import array
 from collections.abc import Mapping, Sequence
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -36,7 +37,12 @@ class Statistics:
     So a campaign takes no more memory the more runs it has; each column is read when its turn comes.
     """
 
-    def __init__(self) -> None:
+    def __init__(self, folder: Path | None = None) -> None:
+        """Keep nothing yet.
+
+        Args:
+            folder: where the file is, which has no name there; None: where temporary files are.
+        """
         self.states: dict[str, int] = {}
         self.engines: dict[str, int] = {}
         self.scores: list[dict[str, Any]] = []
@@ -45,7 +51,7 @@ class Statistics:
         self._windows = array("B")
         """Of each, the windows that it had, a bit each."""
         self._joints = 0
-        self._rows = tempfile.TemporaryFile()  # noqa: SIM115 (open as long as this is there)
+        self._rows = tempfile.TemporaryFile(dir=folder)  # noqa: SIM115 (open as long as this is there)
 
     def add(self, result: dict[str, Any]) -> None:
         """Count a run, and keep its metrics, and the scores of its detector, if it completed."""

@@ -222,7 +222,9 @@ class Run:
     def _hear_last_reports(self) -> None:
         """Take in what the nodes say of the whole run, which they do when it ends."""
         end = time.monotonic() + REPORT_SECONDS
-        while time.monotonic() < end and not all("waited_seconds" in h for h in self.health.values()):
+        while time.monotonic() < end and not all(
+            "waited_seconds" in self.health.get(name, ()) for name in self.nodes
+        ):
             rclpy.spin_once(self.node, timeout_sec=0.05)
 
     def _deactivate(self, names: tuple[str, ...], seconds: float) -> None:

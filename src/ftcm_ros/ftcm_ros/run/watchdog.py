@@ -82,7 +82,9 @@ class Watchdog:
     def _blame(self, stalled: list[str]) -> str:
         """Return the stalled node that the other stalled nodes wait for."""
         if "plant" not in stalled:
-            return next(n for n in (*CHAIN, "recorder") if n in stalled)
+            answering = [n for n in CHAIN if n in stalled] or ["recorder"]
+            # In lockstep the plant has stalled too, but its last report is younger.
+            return min(answering, key=self._ticks.__getitem__) if self.lockstep else answering[0]
         if not self.lockstep:  # the plant waits for nobody
             return "plant"
         done = self._ticks["plant"]
