@@ -318,7 +318,9 @@ def test_several_faults_at_once() -> None:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("more", [(), DRIVES], ids=["", "limits and delay"])
+@pytest.mark.parametrize(
+    "more", [(), pytest.param(DRIVES, marks=pytest.mark.nightly)], ids=["", "limits and delay"]
+)
 def test_several_faults_at_once_compiled(more: tuple[str, ...]) -> None:
     """As plainly, closely: over the pick-up of the payload too."""
     pytest.importorskip("numba")

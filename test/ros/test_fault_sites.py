@@ -93,7 +93,7 @@ def test_a_fault_of_every_site_in_real_time(experiment: Callable[..., Any], tmp_
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("nodes", ["--composed", "--no-composed"])
+@pytest.mark.parametrize("nodes", ["--composed", pytest.param("--no-composed", marks=pytest.mark.nightly)])
 def test_compiled_stages_give_the_compiled_run(
     experiment: Callable[..., Any], tmp_path: Path, nodes: str
 ) -> None:

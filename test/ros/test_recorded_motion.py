@@ -84,9 +84,9 @@ def not_as_commanded(trace: Trace) -> int:
 @pytest.mark.parametrize(
     ("overrides", "stopped", "length"),
     [
-        pytest.param(PLAIN, "injector", 0.3, id="injector"),
+        pytest.param(PLAIN, "injector", 0.3, id="injector", marks=pytest.mark.nightly),
         pytest.param(PLAIN, "controller", 0.3, id="controller"),  # long enough for a safe stop
-        pytest.param(PLAIN, "plant", 0.3, id="plant", marks=pytest.mark.slow),
+        pytest.param(PLAIN, "plant", 0.3, id="plant", marks=pytest.mark.nightly),
         pytest.param(HIDDEN, "controller", 0.05, id="controller, hidden"),
     ],
 )

@@ -47,7 +47,7 @@ def equals_the_in_process_run(bag: BagContents) -> bool:
     [
         ("mcap", "lockstep"),
         pytest.param("sqlite3", "lockstep", marks=pytest.mark.slow),
-        pytest.param("mcap", "real_time", marks=pytest.mark.slow),
+        pytest.param("mcap", "real_time", marks=pytest.mark.nightly),
     ],
 )
 def test_of_a_killed_recorder_only_the_last_second_is_lost(
@@ -90,7 +90,7 @@ def test_of_a_killed_recorder_only_the_last_second_is_lost(
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("storage", ["mcap", "sqlite3"])
+@pytest.mark.parametrize("storage", ["mcap", pytest.param("sqlite3", marks=pytest.mark.nightly)])
 def test_a_recorder_killed_at_any_moment_leaves_a_bag_that_can_be_read(
     start: Start, tmp_path: Path, storage: str
 ) -> None:
@@ -119,7 +119,7 @@ def small_disk(tmp_path: Path) -> Iterator[Path]:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("storage", ["mcap", "sqlite3"])
+@pytest.mark.parametrize("storage", ["mcap", pytest.param("sqlite3", marks=pytest.mark.nightly)])
 def test_a_full_disk_ends_the_run_with_its_reason(
     start: Start, watcher: Any, domain: int, small_disk: Path, storage: str
 ) -> None:

@@ -82,7 +82,7 @@ def rewritten(
     return target
 
 
-@pytest.mark.parametrize("storage", ["mcap", "sqlite3"])
+@pytest.mark.parametrize("storage", ["mcap", pytest.param("sqlite3", marks=pytest.mark.nightly)])
 def test_a_lockstep_run_proves_itself(experiment: Callable[..., Any], tmp_path: Path, storage: str) -> None:
     injection = {"disturbances": ["vo_kang_friction"], "faults": FAULTS}
     scenario = from_mapping({**EVERYTHING, "injection": injection, "duration": 0.3})
@@ -197,6 +197,7 @@ HIDDEN = [
             0.3,
             [],
             id="controller, long enough for a safe stop",
+            marks=pytest.mark.nightly,
         ),
         pytest.param(HIDDEN, "controller", 0.08, [], id="controller, hidden", marks=pytest.mark.slow),
         pytest.param(HIDDEN, "injector", 0.2, [], id="injector, hidden", marks=pytest.mark.nightly),

@@ -148,8 +148,8 @@ ROUNDS = {
 }
 """Experiments: a fault in the run of each controller; together each node and fault in both modes."""
 MORE = (
-    "2 lockstep", "2 detector lockstep", "1 real_time", "2 real_time", "3 real_time", "1 composed lockstep",
-    "2 composed lockstep", "1 composed real_time",
+    "1 lockstep", "2 lockstep", "2 detector lockstep", "1 real_time", "2 real_time", "3 real_time",
+    "1 composed lockstep", "2 composed lockstep", "1 composed real_time",
 )  # fmt: skip
 MARKS = {name: pytest.mark.nightly for name in MORE} | {"quick composed lockstep": pytest.mark.versions}
 
@@ -235,7 +235,7 @@ def test_a_fault_ends_its_run_only(
     assert shared_memory() == []
 
 
-@pytest.mark.parametrize("mode", ["lockstep", "real_time"])
+@pytest.mark.parametrize("mode", ["lockstep", pytest.param("real_time", marks=pytest.mark.nightly)])
 def test_a_node_stopped_for_a_moment_misses_nothing(start: Start, tmp_path: Path, mode: str) -> None:
     """Each node in turn, for longer than any scheduler keeps one waiting: what it finds then, it answers."""
     duration = 16.0 if mode == "lockstep" else 12.0

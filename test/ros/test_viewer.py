@@ -387,6 +387,7 @@ def chromiums() -> list[psutil.Process]:
     return [one for one in psutil.Process().children(recursive=True) if "chrom" in one.name()]
 
 
+@pytest.mark.nightly
 @pytest.mark.slow
 def test_a_browser_shows_a_run_that_is_on(live: Callable[..., Any], start: Callable[..., Any]) -> None:
     need_browser()
@@ -424,6 +425,7 @@ def test_a_browser_shows_a_run_that_is_on(live: Callable[..., Any], start: Calla
     assert (viewer.returncode, err) == (0, "")
 
 
+@pytest.mark.nightly
 @pytest.mark.slow
 def test_a_browser_that_hangs_changes_nothing(
     live: Callable[..., Any], start: Callable[..., Any], tmp_path: Path
