@@ -74,7 +74,7 @@ test-here: test-env build ## Run all tests in .venv; PYTEST_ARGS='...' for some 
 	@$(call source,.venv,); $(call pytest,not docker and not nightly)
 
 .PHONY: test-nightly
-test-nightly: test-env build ## Run what `make test` leaves out: numbers of the pages, more rounds of node faults
+test-nightly: test-env build ## Run what `make test` leaves out: numbers and commands of the pages, more rounds of node faults
 	@$(call source,.venv,); python -m pytest -n "$$(nproc)" --dist worksteal -m nightly $(PYTEST_ARGS)
 
 .PHONY: docker-test
