@@ -19,23 +19,19 @@ from ftcm_ros.bags.reader import read_bag
 
 
 def differing_ticks(found: Any, expected: Any) -> list[int]:
-    """Rows in which two arrays of floats are not the same bit for bit."""
+    """Rows in which two arrays of floats are not the same bit for bit; those that were lost are NaN."""
     bits = [np.ascontiguousarray(x).view(np.int64) for x in (found, expected)]
-    return [int(k) for k in np.flatnonzero((bits[0] != bits[1]).any(axis=1))]
+    there = ~np.isnan(found).all(axis=1)
+    return [int(k) for k in np.flatnonzero((bits[0] != bits[1]).any(axis=1) & there)]
 
 
 def compare(path: str) -> dict[str, Any]:
-    """What a bag holds, and which columns differ from the in-process run as far as it goes.
-
-    Of its last measurement a plant that is stopped may have served the observer, but not yet the recorder:
-    that tick is not compared.
-    """
+    """What a bag holds, what is missing, and which columns of the rest differ from the in-process run."""
     bag = read_bag(Path(path))
     trace = bag.trace
     again = simulate(trace.scenario, trace.changes)
-    ticks = trace.ticks - int(np.isnan(trace.position[-1]).any())
     differing = {
-        name: differing_ticks(trace.columns[name][:ticks], column[:ticks]) if name in trace.columns else [0]
+        name: differing_ticks(trace.columns[name], column[: trace.ticks]) if name in trace.columns else [0]
         for name, column in again.columns.items()
     }
     return {

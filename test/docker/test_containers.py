@@ -98,7 +98,7 @@ class Project:
         )  # fmt: skip
 
     def wait_for_ticks(self) -> None:
-        """Wait until some hundred ticks are in the bag."""
+        """Wait until 400 ticks or more are in the bag."""
         end = time.monotonic() + HANG_SECONDS
         while time.monotonic() < end:
             if sum(f.stat().st_size for f in self.runs.glob("test/bags/*/*")) > 400_000:
@@ -273,7 +273,7 @@ def test_a_container_that_fails_ends_the_run_and_is_named(up: Up, victim: str, f
     if (victim, fault) != ("recorder", "kill"):  # what that keeps: test/ros/test_recovery.py
         bag = project.bag()
         assert bag["status"] == "incomplete"
-        assert bag["ticks"] > 500
+        assert bag["ticks"] > 400, "what was there when it was waited for"
         assert not {"position", "velocity", "effort"} & set(bag["differing"]), bag
 
 
