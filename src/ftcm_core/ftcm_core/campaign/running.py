@@ -7,6 +7,7 @@ import collections
 import contextlib
 import importlib
 import json
+import tempfile
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
@@ -188,7 +189,9 @@ def run_campaign(
             else:
                 begin(folder, identity)
             lines = stack.enter_context(locked(folder / RUNS))
-        found: dict[str, Statistics] = collections.defaultdict(lambda: Statistics(folder))
+        found: dict[str, Statistics] = collections.defaultdict(
+            lambda: Statistics(stack.enter_context(tempfile.TemporaryFile(dir=folder)))
+        )
         following = 0
         if lines and not resume:
             lines.truncate()

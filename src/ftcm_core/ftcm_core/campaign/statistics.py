@@ -4,11 +4,9 @@
 from __future__ import annotations
 
 import math
-import tempfile
 from array import array
 from collections.abc import Mapping, Sequence
-from pathlib import Path
-from typing import Any
+from typing import IO, Any
 
 import numpy as np
 import numpy.typing as npt
@@ -37,11 +35,11 @@ class Statistics:
     So a campaign takes no more memory the more runs it has; each column is read when its turn comes.
     """
 
-    def __init__(self, folder: Path | None = None) -> None:
+    def __init__(self, rows: IO[bytes]) -> None:
         """Keep nothing yet.
 
         Args:
-            folder: where the file is, which has no name there; None: where temporary files are.
+            rows: the file, empty; it stays the caller's to close.
         """
         self.states: dict[str, int] = {}
         self.engines: dict[str, int] = {}
@@ -51,7 +49,7 @@ class Statistics:
         self._windows = array("B")
         """Of each, the windows that it had, a bit each."""
         self._joints = 0
-        self._rows = tempfile.TemporaryFile(dir=folder)  # noqa: SIM115 (open as long as this is there)
+        self._rows = rows
 
     def add(self, result: dict[str, Any]) -> None:
         """Count a run, and keep its metrics, and the scores of its detector, if it completed."""
